@@ -1,0 +1,328 @@
+"""The settings: one schema that the command line and the node share.
+
+A YAML file may hold the sections directly or in the layout of a ROS parameter file
+(``/**: ros__parameters: ...``). Unknown names and values out of range raise ConfigError.
+"""
+
+import difflib
+from collections.abc import Mapping
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any, TypeAlias
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+
+from incremental_mapper.errors import ConfigError
+from incremental_mapper.geometry import pose_matrix
+
+Tree: TypeAlias = dict[str, Any]
+
+
+class Strategy(StrEnum):
+    """Which candidate a window keeps (paper, section Experimental Setup)."""
+
+    MOM = 'mom'
+    BASE = 'base'
+    MIN_TIME_SHIFT = 'min_time_shift'
+    MIN_SOLVER_ERROR = 'min_solver_error'
+
+
+class OdometryMethod(StrEnum):
+    """Which library matches consecutive scans."""
+
+    KISS_ICP = 'kiss_icp'
+    GICP = 'gicp'
+
+
+def _check_transform(numbers: tuple[float, ...]) -> tuple[float, ...]:
+    pose_matrix(numbers)  # raises ValueError where it is no rigid transform
+    return numbers
+
+
+Transform: TypeAlias = Annotated[tuple[float, ...], AfterValidator(_check_transform)]
+Positive: TypeAlias = Annotated[float, Field(gt=0.0, le=1e6, allow_inf_nan=False)]
+Sigma: TypeAlias = Annotated[float, Field(gt=0.0, le=1e4, allow_inf_nan=False)]
+
+
+class Section(BaseModel):
+    """A group of settings: frozen, and closed to unknown names."""
+
+    model_config = ConfigDict(frozen=True, extra='forbid', use_attribute_docstrings=True)
+
+
+class Sensor(Section):
+    """Where one sensor's messages come from and where it sits on the car."""
+
+    topic: str = ''
+    """Topic of the bag or the node's input; empty picks the only topic of the right type."""
+    T_base_sensor: Transform = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+    """Pose of the sensor in base_link: x, y, z, qx, qy, qz, qw, or a row-major 3x4 matrix."""
+    time_offset: float = Field(default=0.0, ge=-10.0, le=10.0, allow_inf_nan=False)
+    """Seconds added to every header stamp of this sensor."""
+
+    def matrix(self) -> NDArray[np.float64]:
+        """T_base_sensor as a (4, 4) homogeneous matrix."""
+        return pose_matrix(self.T_base_sensor)
+
+
+class WindowSettings(Section):
+    """How measurements are gathered."""
+
+    duration: float = Field(default=0.1, ge=0.02, le=5.0)
+    """Length of a window in seconds."""
+    lateness: float = Field(default=0.5, ge=0.0, le=60.0)
+    """Seconds that a window waits for a sensor that fell silent."""
+    max_carry: float = Field(default=1.0, ge=0.0, le=60.0)
+    """Seconds for which unconnected measurements are carried before a bridge is built."""
+
+
+class OdometrySettings(Section):
+    """Scan matching between consecutive scans of one LiDAR."""
+
+    method: OdometryMethod = OdometryMethod.GICP
+    """Scan matcher: gicp (small_gicp) or kiss_icp."""
+    min_range: float = Field(default=2.5, ge=0.0, le=100.0)
+    """Points nearer to the sensor than this many metres (the car itself) are left out."""
+    max_range: float = Field(default=80.0, gt=0.0, le=1000.0)
+    """Points further than this many metres are left out."""
+    voxel_size: float = Field(default=0.3, gt=0.0, le=10.0)
+    """Down-sampling before gicp; voxel size of the local map for kiss_icp. Metres."""
+    max_correspondence: float = Field(default=2.0, gt=0.0, le=50.0)
+    """Largest distance of a gicp correspondence in metres."""
+    local_map_scans: int = Field(default=1, ge=1, le=200)
+    """gicp target: 1 matches scan to scan, more match to a sliding map of so many scans."""
+    min_points: int = Field(default=100, ge=10, le=100_000)
+    """A scan with fewer points after down-sampling gets no odometry."""
+    max_gap: float = Field(default=1.0, gt=0.0, le=60.0)
+    """Scans of one LiDAR that are further apart in seconds are not matched."""
+    deskew: bool = True
+    """Undo the motion within a sweep where the cloud has per-point time."""
+    sigma_translation: Sigma = 0.05
+    """Standard deviation of a match in metres, each axis."""
+    sigma_rotation: Sigma = 0.005
+    """Standard deviation of a match in radians, each axis."""
+
+
+class ImuSettings(Section):
+    """Noise of the IMU as continuous densities, and how spans are integrated."""
+
+    gravity: float = Field(default=9.81, ge=0.0, le=30.0)
+    """Magnitude of gravity in m/s^2."""
+    accelerometer_noise: Sigma = 0.02
+    """m/s^2/sqrt(Hz)."""
+    gyroscope_noise: Sigma = 0.001
+    """rad/s/sqrt(Hz)."""
+    accelerometer_bias_walk: Sigma = 0.001
+    """m/s^3/sqrt(Hz)."""
+    gyroscope_bias_walk: Sigma = 0.0001
+    """rad/s^2/sqrt(Hz)."""
+    integration_sigma: Sigma = 0.0001
+    """m/sqrt(Hz), uncertainty of the numerical integration of position."""
+    max_gap: float = Field(default=0.1, gt=0.0, le=10.0)
+    """A span with a longer hole between samples, in seconds, makes no connection."""
+
+
+class GnssSettings(Section):
+    """Which fixes are used and how far they are trusted."""
+
+    min_status: int = Field(default=0, ge=0, le=2)
+    """Lowest usable NavSatStatus: 0 fix, 1 SBAS, 2 GBAS (RTK or VRS fixed)."""
+    min_sigma: Sigma = 0.05
+    """A smaller reported standard deviation is raised to this many metres."""
+    max_sigma: Sigma = 10.0
+    """Fixes with a larger horizontal standard deviation in metres are not used."""
+    default_sigma: Sigma = 2.0
+    """Standard deviation in metres where the message has no covariance."""
+    robust_threshold: float = Field(default=3.0, ge=0.0, le=100.0)
+    """Huber threshold in standard deviations; 0 switches the robust loss off."""
+    min_distance: float = Field(default=2.0, gt=0.0, le=1000.0)
+    """Travelled metres after which the yaw is taken from the GNSS track."""
+
+
+class GraphSettings(Section):
+    """Priors, and the smoother that G(t) is kept in."""
+
+    lag: float = Field(default=2.0, ge=0.0, le=60.0)
+    """Seconds of the newest part of G(t) that is optimised again with every window."""
+    final_optimization: bool = True
+    """Optimise all of G(t) once more before it is saved."""
+    motion_compensation: bool = False
+    """Move each measurement of a merged cluster to the cluster's stamp by the predicted motion."""
+    prior_sigma_position: Sigma = 0.1
+    """First pose, metres."""
+    prior_sigma_level: Sigma = 0.02
+    """First pose, roll and pitch, radians."""
+    prior_sigma_yaw: Sigma = 0.3
+    """First pose, yaw, radians."""
+    prior_sigma_velocity: Sigma = 10.0
+    """First velocity, m/s."""
+    prior_sigma_accelerometer_bias: Sigma = 0.05
+    """First accelerometer bias, m/s^2."""
+    prior_sigma_gyroscope_bias: Sigma = 0.005
+    """First gyroscope bias, rad/s."""
+    weak_sigma_position: Sigma = 1.0
+    """Weak prior where an inertial chain starts anew or a component is unconnected: metres."""
+    weak_sigma_rotation: Sigma = 0.2
+    """The same, radians."""
+    weak_sigma_velocity: Sigma = 1.0
+    """The same, m/s."""
+    max_iterations: int = Field(default=10, ge=1, le=200)
+    """Iterations of one local solve."""
+
+
+class SelectionSettings(Section):
+    """How candidates are enumerated and scored."""
+
+    strategy: Strategy = Strategy.MOM
+    """Criterion: mom, base, min_time_shift or min_solver_error."""
+    max_candidates: int = Field(default=1000, ge=1, le=1_000_000)
+    """More candidates than this are not enumerated: the least shifted ones are tried first."""
+    direct: bool = False
+    """Search the neighbourhoods again at every candidate's poses (slow, for verification)."""
+    verify: bool = False
+    """Score every candidate both ways and report how often the two agree (slow)."""
+
+
+class MomSettings(Section):
+    """The Mutually Orthogonal Metric (paper, section Evaluation Metric)."""
+
+    radius: float = Field(default=1.5, gt=0.0, le=20.0)
+    """Radius of a neighbourhood in metres."""
+    eigenvalue_ratio: float = Field(default=10.0, ge=1.0, le=1e4)
+    """A neighbourhood is planar where the middle eigenvalue is so many times the smallest."""
+    min_neighbours: int = Field(default=5, ge=3, le=1000)
+    """Smallest neighbourhood."""
+    min_family_points: int = Field(default=30, ge=1, le=100_000)
+    """A plane family with fewer points does not count."""
+    max_points: int = Field(default=1500, ge=10, le=100_000)
+    """Judging points of one window."""
+    max_angle: float = Field(default=0.2, gt=0.0, le=0.7)
+    """Largest angle in radians between a normal and its family's axis."""
+    voxel_size: float = Field(default=0.2, gt=0.0, le=5.0)
+    """Scans are thinned to this grid, in metres, before they are scored."""
+    submap_scans: int = Field(default=10, ge=1, le=200)
+    """Scans of G(t-1) that the new scans are compared with."""
+
+
+class MapSettings(Section):
+    """The accumulated map."""
+
+    voxel_size: float = Field(default=0.2, gt=0.0, le=10.0)
+    """Voxel size of the map in metres."""
+    max_range: float = Field(default=60.0, gt=0.0, le=1000.0)
+    """Points further from the sensor than this many metres do not enter the map."""
+
+
+def _lidar_sections(value: object) -> object:
+    """Turn ``{names: [left], left: {...}}``, the form ROS parameters allow, into a dictionary."""
+    if not isinstance(value, Mapping) or 'names' not in value:
+        return value
+    names = value['names']
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise ValueError(f'names is {names!r}; expected a list of LiDAR names')
+    unlisted = sorted(set(value) - {'names'} - set(names))
+    if unlisted:
+        raise ValueError(f'section {unlisted[0]!r} is not in names {names}')
+    return {name: value.get(name, {}) for name in names}
+
+
+Lidars: TypeAlias = Annotated[dict[str, Sensor], BeforeValidator(_lidar_sections)]
+
+
+class Config(Section):
+    """All settings."""
+
+    lidars: Lidars = Field(default_factory=dict)
+    """LiDARs by name; in YAML ``names`` lists them and each has a section of its own."""
+    imu: Sensor = Sensor()
+    """The IMU."""
+    gnss: Sensor = Sensor()
+    """The GNSS antenna; its translation is the lever arm."""
+    window: WindowSettings = WindowSettings()
+    odometry: OdometrySettings = OdometrySettings()
+    preintegration: ImuSettings = ImuSettings()
+    fixes: GnssSettings = GnssSettings()
+    graph: GraphSettings = GraphSettings()
+    selection: SelectionSettings = SelectionSettings()
+    mom: MomSettings = MomSettings()
+    map: MapSettings = MapSettings()
+
+
+def merge(low: Mapping[str, Any], high: Mapping[str, Any]) -> Tree:
+    """Nested dictionaries laid over each other; ``high`` wins."""
+    merged: Tree = dict(low)
+    for key, value in high.items():
+        below = merged.get(key)
+        both = isinstance(value, Mapping) and isinstance(below, Mapping)
+        merged[key] = merge(below, value) if both else value  # type: ignore[arg-type]
+    return merged
+
+
+def read_yaml(path: Path) -> Tree:
+    """Read a settings file in either layout; raises ConfigError."""
+    try:
+        tree = yaml.safe_load(path.read_text(encoding='utf-8'))
+    except OSError as error:
+        raise ConfigError(f'{path}: cannot be read ({error.strerror})') from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        message = ' '.join(str(error).split())
+        raise ConfigError(f'{path}: is no YAML ({message})') from error
+    if tree is None:
+        return {}
+    if isinstance(tree, dict):
+        for value in tree.values():
+            if isinstance(value, dict) and 'ros__parameters' in value:
+                tree = value['ros__parameters'] or {}
+                break
+    if not isinstance(tree, dict):
+        raise ConfigError(f'{path}: holds {type(tree).__name__}, expected sections of settings')
+    return tree
+
+
+def make_config(tree: Mapping[str, Any], where: str = 'settings') -> Config:
+    """Check a nested dictionary against the schema; ``where`` names its origin in messages."""
+    try:
+        return Config.model_validate(dict(tree))
+    except ValidationError as error:
+        lines = [_explain(dict(item)) for item in error.errors()]
+        raise ConfigError(f'{where}: ' + '; '.join(lines)) from error
+
+
+def to_tree(config: Config) -> Tree:
+    """The settings as a nested dictionary of plain values, in the layout that YAML files use."""
+    tree: Tree = config.model_dump(mode='json')
+    tree['lidars'] = {'names': list(config.lidars), **tree['lidars']}
+    return tree
+
+
+def write_ros_yaml(path: Path, tree: Mapping[str, Any], comment: str = '') -> None:
+    """Write a settings tree as a ROS parameter file."""
+    head = ''.join(f'# {line}\n' for line in comment.splitlines())
+    body = yaml.safe_dump(
+        {'/**': {'ros__parameters': dict(tree)}}, sort_keys=False, default_flow_style=None
+    )
+    path.write_text(head + body, encoding='utf-8')
+
+
+def _explain(item: dict[str, Any]) -> str:
+    location = [str(part) for part in item['loc']]
+    name = '.'.join(location)
+    if item['type'] == 'extra_forbidden':
+        known = _names_beside(location)
+        close = difflib.get_close_matches(location[-1], known, n=1, cutoff=0.5)
+        remedy = f'did you mean {close[0]!r}?' if close else f'known names: {", ".join(known)}'
+        return f'{name} is no setting; {remedy}'
+    message = str(item['msg']).removeprefix('Value error, ').removeprefix('Input ')
+    return f'{name} is {item.get("input")!r}; {message}'
+
+
+def _names_beside(location: list[str]) -> list[str]:
+    model: type[BaseModel] = Config
+    for part in location[:-1]:
+        field = model.model_fields.get(part)
+        kind = field.annotation if field else None
+        model = kind if isinstance(kind, type) and issubclass(kind, BaseModel) else Sensor
+    return sorted(model.model_fields)

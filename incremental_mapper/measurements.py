@@ -1,0 +1,175 @@
+"""Sensor measurements: frozen values with integer nanosecond stamps.
+
+Stamps are the header stamps, nanoseconds since the epoch. Arrays that a measurement holds are
+never written to after it was made.
+"""
+
+from collections import Counter
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from incremental_mapper.errors import MeasurementError
+
+Points: TypeAlias = NDArray[np.float32]
+Vector: TypeAlias = NDArray[np.float64]
+Drops: TypeAlias = Counter[tuple[str, str]]
+"""How many measurements were not used, by (sensor, reason)."""
+
+
+class FixStatus(IntEnum):
+    """Status of a GNSS fix, with the numbers of ``sensor_msgs/NavSatStatus``."""
+
+    NO_FIX = -1
+    FIX = 0
+    SBAS = 1
+    GBAS = 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LidarScan:
+    """One sweep of one LiDAR.
+
+    ``points`` is (N, 3) in metres, in the LiDAR's own frame, all finite, N >= 1.
+    ``point_times`` is (N,) seconds relative to ``stamp`` where the sensor tells, else None.
+    """
+
+    stamp: int
+    sensor: str
+    points: Points
+    point_times: NDArray[np.float32] | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GnssFix:
+    """One satellite fix of the antenna.
+
+    Latitude and longitude in degrees and ellipsoidal altitude in metres (WGS-84); ``covariance``
+    is (3, 3) in m^2, east, north, up, or None where the receiver does not know it.
+    """
+
+    stamp: int
+    sensor: str
+    latitude: float
+    longitude: float
+    altitude: float
+    status: FixStatus
+    covariance: Vector | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImuSample:
+    """One inertial sample in the IMU's frame.
+
+    ``gyro`` is (3,) rad/s; ``acceleration`` is (3,) m/s^2 and contains gravity (+9.81 on the
+    upward axis at rest); ``orientation`` is the quaternion x, y, z, w of T_enu_imu, or None.
+    """
+
+    stamp: int
+    sensor: str
+    gyro: Vector
+    acceleration: Vector
+    orientation: Vector | None = None
+
+
+Measurement: TypeAlias = LidarScan | GnssFix | ImuSample
+
+
+def make_scan(
+    stamp: int,
+    sensor: str,
+    points: NDArray[np.floating],
+    point_times: NDArray[np.floating] | None = None,
+    min_points: int = 1,
+) -> LidarScan:
+    """Build a scan from raw points (N, 3); non-finite points and points at the origin are removed.
+
+    Raises MeasurementError where fewer than ``min_points`` remain.
+    """
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise MeasurementError(
+            'bad_shape', f'{sensor} at {stamp}: points have shape {points.shape}, expected (N, 3)'
+        )
+    keep = np.isfinite(points).all(axis=1) & (np.abs(points) > 0).any(axis=1)
+    if point_times is not None:
+        keep &= np.isfinite(point_times)
+    count = int(keep.sum())
+    if count < max(min_points, 1):
+        reason = 'empty_cloud' if len(points) == 0 else 'no_finite_points'
+        raise MeasurementError(
+            reason,
+            f'{sensor} at {stamp}: {count} of {len(points)} points are usable, '
+            f'{max(min_points, 1)} are needed',
+        )
+    if count == len(points):
+        kept, times = points, point_times
+    else:
+        kept = points[keep]
+        times = None if point_times is None else point_times[keep]
+    return LidarScan(
+        stamp=stamp,
+        sensor=sensor,
+        points=np.ascontiguousarray(kept, dtype=np.float32),
+        point_times=None if times is None else np.ascontiguousarray(times, dtype=np.float32),
+    )
+
+
+def make_fix(
+    stamp: int,
+    sensor: str,
+    latitude: float,
+    longitude: float,
+    altitude: float,
+    status: int,
+    covariance: NDArray[np.floating] | None,
+) -> GnssFix:
+    """Build a fix; raises MeasurementError where it holds no usable position."""
+    where = f'{sensor} at {stamp}'
+    if status < FixStatus.FIX:
+        raise MeasurementError('no_fix', f'{where}: status {status} says there is no fix')
+    if not np.isfinite([latitude, longitude, altitude]).all():
+        raise MeasurementError(
+            'not_finite', f'{where}: position {latitude}, {longitude}, {altitude} is not finite'
+        )
+    if abs(latitude) > 90.0 or abs(longitude) > 360.0 or (latitude == 0.0 and longitude == 0.0):
+        raise MeasurementError(
+            'out_of_range', f'{where}: latitude {latitude}, longitude {longitude} are no place'
+        )
+    if covariance is not None:
+        covariance = np.asarray(covariance, dtype=np.float64).reshape(3, 3)
+        if not np.isfinite(covariance).all() or not (np.diag(covariance) > 0).all():
+            covariance = None
+    return GnssFix(
+        stamp=stamp,
+        sensor=sensor,
+        latitude=float(latitude),
+        longitude=float(longitude),
+        altitude=float(altitude),
+        status=FixStatus(min(int(status), FixStatus.GBAS)),
+        covariance=covariance,
+    )
+
+
+def make_imu(
+    stamp: int,
+    sensor: str,
+    gyro: NDArray[np.floating],
+    acceleration: NDArray[np.floating],
+    orientation: NDArray[np.floating] | None = None,
+) -> ImuSample:
+    """Build an inertial sample; raises MeasurementError where it is not finite."""
+    rate = np.asarray(gyro, dtype=np.float64).reshape(3)
+    force = np.asarray(acceleration, dtype=np.float64).reshape(3)
+    if not (np.isfinite(rate).all() and np.isfinite(force).all()):
+        raise MeasurementError(
+            'not_finite', f'{sensor} at {stamp}: gyro {rate}, acceleration {force} are not finite'
+        )
+    turn = None
+    if orientation is not None:
+        turn = np.asarray(orientation, dtype=np.float64).reshape(4)
+        norm = float(np.linalg.norm(turn)) if np.isfinite(turn).all() else 0.0
+        turn = turn / norm if abs(norm - 1.0) < 0.1 else None
+    return ImuSample(stamp=stamp, sensor=sensor, gyro=rate, acceleration=force, orientation=turn)

@@ -1,0 +1,121 @@
+"""A trajectory of stamped poses: interpolation and the TUM text format."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation, Slerp
+
+from incremental_mapper.errors import InputError
+
+NANOSECONDS = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trajectory:
+    """Poses T_map_base over time.
+
+    ``stamps`` is (M,) int64 nanoseconds, strictly increasing; ``positions`` is (M, 3) metres;
+    ``quaternions`` is (M, 4) x, y, z, w.
+    """
+
+    stamps: NDArray[np.int64]
+    positions: NDArray[np.float64]
+    quaternions: NDArray[np.float64]
+
+    def __len__(self) -> int:
+        return len(self.stamps)
+
+    def rotations(self) -> Rotation:
+        """Orientation of base_link in the map at every stamp."""
+        return Rotation.from_quat(self.quaternions)
+
+    def matrices(self) -> NDArray[np.float64]:
+        """Poses T_map_base as (M, 4, 4) homogeneous matrices."""
+        matrices = np.tile(np.eye(4), (len(self), 1, 1))
+        matrices[:, :3, :3] = self.rotations().as_matrix()
+        matrices[:, :3, 3] = self.positions
+        return matrices
+
+    def interpolate(self, stamps: NDArray[np.int64]) -> 'Trajectory':
+        """Poses at ``stamps``: linear in position, SLERP in rotation.
+
+        Raises ValueError for a stamp outside the trajectory; see ``covers``.
+        """
+        if len(stamps) == 0:
+            return Trajectory(stamps, np.zeros((0, 3)), np.zeros((0, 4)))
+        if not self.covers(stamps).all():
+            raise ValueError('stamps outside the trajectory cannot be interpolated')
+        # Seconds since the first pose keep nanosecond stamps exact enough for doubles.
+        own = (self.stamps - self.stamps[0]) / NANOSECONDS
+        wanted = (stamps - self.stamps[0]) / NANOSECONDS
+        if len(self) == 1:
+            repeat = np.zeros(len(stamps), dtype=np.int64)
+            return Trajectory(stamps, self.positions[repeat], self.quaternions[repeat])
+        positions = np.stack(
+            [np.interp(wanted, own, self.positions[:, axis]) for axis in range(3)], axis=1
+        )
+        quaternions = Slerp(own, self.rotations())(wanted).as_quat()
+        return Trajectory(stamps, positions, quaternions)
+
+    def covers(self, stamps: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Which of ``stamps`` lie between the first and the last pose."""
+        if len(self) == 0:
+            return np.zeros(len(stamps), dtype=np.bool_)
+        return (stamps >= self.stamps[0]) & (stamps <= self.stamps[-1])
+
+
+def from_matrices(stamps: NDArray[np.int64], matrices: NDArray[np.float64]) -> Trajectory:
+    """Make a trajectory of homogeneous matrices (M, 4, 4); unsorted and repeated stamps are mended."""
+    order = np.unique(stamps, return_index=True)[1]
+    return Trajectory(
+        stamps=np.asarray(stamps, dtype=np.int64)[order],
+        positions=matrices[order, :3, 3],
+        quaternions=Rotation.from_matrix(matrices[order, :3, :3]).as_quat().reshape(-1, 4),
+    )
+
+
+def write_tum(path: Path, trajectory: Trajectory) -> None:
+    """Write ``stamp x y z qx qy qz qw`` lines; the stamp in seconds keeps all nine decimals."""
+    with path.open('w', encoding='ascii') as file:
+        for stamp, position, turn in zip(
+            trajectory.stamps.tolist(), trajectory.positions, trajectory.quaternions, strict=True
+        ):
+            numbers = ' '.join(f'{value:.9f}' for value in (*position, *turn))
+            file.write(f'{stamp // NANOSECONDS}.{stamp % NANOSECONDS:09d} {numbers}\n')
+
+
+def read_tum(path: Path) -> Trajectory:
+    """Read a TUM trajectory; raises InputError with the line that is wrong."""
+    stamps: list[int] = []
+    rows: list[list[float]] = []
+    try:
+        text = path.read_text(encoding='utf-8')
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f'{path}: cannot be read as a TUM trajectory ({error})') from error
+    for number, line in enumerate(text.splitlines(), start=1):
+        words = line.split()
+        if not words or words[0].startswith('#'):
+            continue
+        try:
+            seconds, _, fraction = words[0].partition('.')
+            stamp = int(seconds) * NANOSECONDS + int((fraction or '0')[:9].ljust(9, '0'))
+            row = [float(word) for word in words[1:]]
+        except ValueError:
+            row = []
+        if len(row) != 7 or not np.isfinite(row).all() or not np.any(row[3:]):
+            raise InputError(
+                f'{path}: line {number} is {line.strip()!r}; expected "stamp x y z qx qy qz qw"'
+            )
+        stamps.append(stamp)
+        rows.append(row)
+    if not rows:
+        raise InputError(f'{path}: holds no pose; expected lines "stamp x y z qx qy qz qw"')
+    table = np.array(rows)
+    order = np.unique(np.array(stamps, dtype=np.int64), return_index=True)[1]
+    return Trajectory(
+        stamps=np.array(stamps, dtype=np.int64)[order],
+        positions=table[order, :3],
+        quaternions=Rotation.from_quat(table[order, 3:]).as_quat().reshape(-1, 4),
+    )
