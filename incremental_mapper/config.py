@@ -176,8 +176,8 @@ class GraphSettings(Section):
 class SelectionSettings(Section):
     """How candidates are enumerated and scored."""
 
-    strategy: Strategy = Strategy.MOM
-    """Criterion: mom, base, min_time_shift or min_solver_error."""
+    strategy: str = Strategy.MOM.value
+    """mom, base, min_time_shift, min_solver_error, or a name that was registered."""
     max_candidates: int = Field(default=1000, ge=1, le=1_000_000)
     """More candidates than this are not enumerated: the least shifted ones are tried first."""
     direct: bool = False

@@ -63,7 +63,8 @@ class Trajectory:
         """Which of ``stamps`` lie between the first and the last pose."""
         if len(self) == 0:
             return np.zeros(len(stamps), dtype=np.bool_)
-        return (stamps >= self.stamps[0]) & (stamps <= self.stamps[-1])
+        inside: NDArray[np.bool_] = (stamps >= self.stamps[0]) & (stamps <= self.stamps[-1])
+        return inside
 
 
 def from_matrices(stamps: NDArray[np.int64], matrices: NDArray[np.float64]) -> Trajectory:

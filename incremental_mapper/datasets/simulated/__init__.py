@@ -1,1 +1,1 @@
-"""simulated."""
+"""Simulated drives, written as KAIST Urban folders with exact ground truth."""

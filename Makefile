@@ -1,0 +1,62 @@
+# Everything runs in .venv, which is made on first use: "make demo" needs only Python and make.
+PYTHON ?= python3
+DEMO_SECONDS ?= 15
+DEMO_DIR ?= demo_out
+
+BIN := .venv/bin
+INSTALLED := .venv/.installed
+MAPPER := $(BIN)/incremental_mapper
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+
+.PHONY: help install demo test lint types check format clean
+
+help:
+	@echo 'make demo    simulate a drive of DEMO_SECONDS ($(DEMO_SECONDS)) seconds, map it, draw it'
+	@echo 'make test    run the tests'
+	@echo 'make lint    ruff and the import contracts'
+	@echo 'make types   mypy'
+	@echo 'make check   lint, types and test'
+	@echo 'make format  let ruff mend formatting and imports'
+	@echo 'make clean   remove .venv, caches and the output of the demo'
+	@echo 'PYTHON=python3.12 chooses the interpreter that .venv is made with (3.11 or later)'
+
+install: $(INSTALLED)
+
+$(INSTALLED): setup.py setup.cfg pyproject.toml
+	@command -v $(PYTHON) >/dev/null || \
+		{ echo '$(PYTHON) is not installed; name another with make PYTHON=...' >&2; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+		{ echo "$(PYTHON) is $$($(PYTHON) -V 2>&1), 3.11 or later is needed; name another with" \
+		'make PYTHON=python3.12' >&2; exit 1; }
+	@test -x $(BIN)/pip || $(PYTHON) -m venv --clear .venv
+	$(BIN)/python -m pip install --quiet --editable '.[sim,report,test]'
+	@touch $@
+
+demo: $(INSTALLED)
+	$(MAPPER) simulate $(DEMO_DIR)/drive --scene street --motion mixed \
+		--duration $(DEMO_SECONDS) --seed 1 --force
+	$(MAPPER) convert $(DEMO_DIR)/drive $(DEMO_DIR)/bag --force
+	$(MAPPER) map $(DEMO_DIR)/bag $(DEMO_DIR)/map --config config/kaist.yaml --force
+	@echo 'Pictures:'
+	@ls $(DEMO_DIR)/map/*.png
+
+test: $(INSTALLED)
+	$(BIN)/python -m pytest
+
+lint: $(INSTALLED)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/lint-imports
+
+types: $(INSTALLED)
+	$(BIN)/mypy
+
+check: lint types test
+
+format: $(INSTALLED)
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+clean:
+	rm -rf .venv $(DEMO_DIR) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache \
+		.hypothesis .import_linter_cache

@@ -1,0 +1,92 @@
+"""Core measurements, clusters, connections and candidates: the values that a window is made of."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+class CoreKind(StrEnum):
+    """What a core measurement contributes (paper, Algorithm 1, step 1)."""
+
+    LIDAR = 'lidar'
+    GNSS = 'gnss'
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class CoreMeasurement:
+    """A measurement that needs a variable; identified by its stamp (ns) and sensor."""
+
+    stamp: int
+    sensor: str
+    kind: CoreKind
+
+
+@dataclass(frozen=True, slots=True)
+class Cluster:
+    """Adjacent core measurements that share one pose variable (paper, section Definitions).
+
+    ``members`` are sorted by stamp; ``first`` and ``last`` are the positions of the cluster's
+    elements in the window.
+    """
+
+    members: tuple[CoreMeasurement, ...]
+    first: int = 0
+    last: int = 0
+
+    @property
+    def stamp(self) -> int:
+        """Stamp of the median member, ``sorted_stamps[n // 2]``, in nanoseconds."""
+        return self.members[len(self.members) // 2].stamp
+
+    @property
+    def time_range(self) -> int:
+        """Last minus first stamp of the members, in nanoseconds."""
+        return self.members[-1].stamp - self.members[0].stamp
+
+
+HEAD = -1
+"""Index that a connection uses for the cluster of G(t-1) at the head of the composition."""
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Connection:
+    """An IMU span between two clusters of a candidate, given by their indices; HEAD is G(t-1).
+
+    ``start_stamp`` and ``end_stamp`` are the cluster stamps; ``first_sample`` is the stamp of the
+    first IMU sample inside. The span holds the samples with start_stamp <= stamp < end_stamp.
+    """
+
+    start: int
+    end: int
+    start_stamp: int
+    end_stamp: int
+    first_sample: int
+
+    @property
+    def shift(self) -> int:
+        """First IMU stamp minus the stamp of the cluster where the span starts, nanoseconds."""
+        return self.first_sample - self.start_stamp
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """One way of building the window's graph: clusters in time order and their connections."""
+
+    clusters: tuple[Cluster, ...]
+    connections: tuple[Connection, ...]
+
+    @property
+    def time_shift(self) -> int:
+        """Total time shift in nanoseconds (paper, equation for E in Minimum Time Shift)."""
+        ranges = sum(cluster.time_range for cluster in self.clusters)
+        return ranges + sum(connection.shift for connection in self.connections)
+
+    @property
+    def inertial_clusters(self) -> frozenset[int]:
+        """Indices of the clusters that need velocity and bias (HEAD is among them if it does)."""
+        ends = {connection.end for connection in self.connections}
+        return frozenset(ends | {connection.start for connection in self.connections})
+
+    @property
+    def vertices(self) -> int:
+        """Variables that the candidate adds: a pose each, velocity and bias where needed."""
+        return len(self.clusters) + 2 * len(self.inertial_clusters - {HEAD})

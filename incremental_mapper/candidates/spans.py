@@ -1,0 +1,36 @@
+"""Which IMU samples lie between two cluster stamps."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImuStamps:
+    """Sorted stamps (K,) int64 of the window's unused IMU samples.
+
+    A span with a hole longer than ``max_gap`` nanoseconds makes no connection: the motion inside
+    the hole is unknown.
+    """
+
+    stamps: NDArray[np.int64]
+    max_gap: int
+
+    def bounds(self, start: int, end: int) -> tuple[int, int]:
+        """Positions [low, high) of the samples with start <= stamp < end."""
+        low, high = np.searchsorted(self.stamps, (start, end), side='left')
+        return int(low), int(high)
+
+    def first_sample(self, start: int, end: int) -> int | None:
+        """Stamp of the first sample of a usable span, or None where no connection can be made."""
+        low, high = self.bounds(start, end)
+        if high <= low:
+            return None
+        inside = self.stamps[low:high]
+        gap = max(
+            int(inside[0]) - start,
+            end - int(inside[-1]),
+            int(np.diff(inside).max()) if len(inside) > 1 else 0,
+        )
+        return int(inside[0]) if gap <= self.max_gap else None

@@ -1,0 +1,243 @@
+"""ROS bags as a source of measurements: rosbag2 (MCAP, SQLite) and ROS 1."""
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
+from scipy.spatial.transform import Rotation
+
+from incremental_mapper.config import Tree, make_config, merge, read_yaml
+from incremental_mapper.datasets.messages import (
+    describe_times,
+    fix_from_message,
+    header_stamp,
+    imu_from_message,
+    scan_from_message,
+)
+from incremental_mapper.datasets.selection import listed_lidars, offset_nanoseconds
+from incremental_mapper.datasets.source import SourceInfo
+from incremental_mapper.datasets.topics import Choice, Topic, choose_topics, find_truth_topic
+from incremental_mapper.datasets.truth import find_truth
+from incremental_mapper.errors import InputError, MeasurementError
+from incremental_mapper.measurements import Drops, Measurement
+from incremental_mapper.trajectory import NANOSECONDS, Trajectory
+
+SETTINGS_FILE = 'incremental_mapper.yaml'
+STORAGE_SUFFIXES = ('.mcap', '.db3')
+
+Maker: TypeAlias = Callable[[Any, str, int], Measurement]
+Converter: TypeAlias = Callable[[Any], Measurement]
+
+
+class BagSource:
+    """A bag, opened and checked; messages are decoded one at a time."""
+
+    def __init__(self, path: Path, settings: Mapping[str, Any] | None = None) -> None:
+        """Open the bag; ``settings`` is the user's tree (topics, time offsets).
+
+        Raises InputError where the bag or its topics cannot be used, ConfigError for bad settings.
+        """
+        tree = settings or {}
+        self._path = path
+        self._files = bag_files(path)
+        self._folder = path if path.is_dir() else path.parent
+        self._drops: Drops = Counter()
+        own = _own_settings(self._folder, listed_lidars(tree))
+        config = make_config(merge(own, tree))
+        with self._open() as reader:
+            self._topics = [
+                Topic(name, info.msgtype or 'several types', info.msgcount)
+                for name, info in reader.topics.items()
+            ]
+            self._choice = choose_topics(path, self._topics, config)
+            self._begin, self._end = reader.start_time, reader.end_time
+            notes = [*self._choice.notes, *self._time_notes(reader)]
+        known = {**config.lidars, 'imu': config.imu, 'gnss': config.gnss}
+        self._offsets = {
+            name: offset_nanoseconds(known[name]) if name in known else 0
+            for name in self._choice.topics
+        }
+        self._info = SourceInfo(
+            path=path,
+            kind='ROS 1 bag' if self._files[0].suffix == '.bag' else 'ROS 2 bag',
+            counts={name: topic.count for name, topic in self._choice.topics.items()},
+            duration=max(self._end - self._begin, 0) / NANOSECONDS,
+            settings=merge(own, _topic_settings(self._choice, list(config.lidars))),
+            notes=tuple(notes),
+        )
+
+    @property
+    def info(self) -> SourceInfo:
+        """Facts about the bag."""
+        return self._info
+
+    @property
+    def drops(self) -> Drops:
+        """Messages that the last run of ``measurements`` could not use."""
+        return self._drops.copy()
+
+    def measurements(self) -> Iterator[Measurement]:
+        """All usable measurements in the order in which the bag logged them.
+
+        Where the bag is damaged further on, the rest is counted as ``damaged``; InputError where
+        not one message can be read.
+        """
+        self._drops = Counter()
+        converters = self._converters()
+        left = Counter(self._info.counts)
+        with self._open() as reader:
+            for sensor, message_type, data in self._raw(reader, left):
+                left[sensor] -= 1
+                try:
+                    # On damaged data the decoder raises whatever it stumbles over.
+                    message = reader.deserialize(data, message_type)
+                except Exception:
+                    self._drops[sensor, 'undecodable'] += 1
+                    continue
+                try:
+                    measurement = converters[sensor](message)
+                except MeasurementError as error:
+                    self._drops[sensor, error.reason] += 1
+                    continue
+                yield measurement
+
+    def truth(self) -> Trajectory | None:
+        """Truth from an odometry topic with ``truth`` in its name, else from a file beside."""
+        topic = find_truth_topic(self._topics)
+        if topic is not None:
+            return self._truth_of_topic(topic)
+        beside = [self._folder, self._path.parent] if self._path.is_dir() else [self._folder]
+        truth = find_truth(beside)
+        # A file in the folder above may belong to another drive.
+        if truth is None or truth.stamps[-1] < self._begin or truth.stamps[0] > self._end:
+            return None
+        return truth
+
+    @contextmanager
+    def _open(self) -> Iterator[AnyReader]:
+        store = get_typestore(Stores.ROS2_JAZZY)
+        try:
+            reader = AnyReader(self._files, default_typestore=store)
+            reader.open()
+        # Of a damaged file the library raises whatever its parser stumbles over.
+        except Exception as error:
+            reason = ' '.join(str(error).split()) or type(error).__name__
+            raise InputError(
+                f'{self._path}: cannot be read as a bag ({reason}); an interrupted recording '
+                'may need "ros2 bag reindex", "mcap recover" or "rosbag reindex"'
+            ) from error
+        try:
+            yield reader
+        finally:
+            reader.close()
+
+    def _raw(self, reader: AnyReader, left: Counter[str]) -> Iterator[tuple[str, str, bytes]]:
+        """(sensor, type, data) of the sensors' messages, up to the first damage."""
+        sensors = {topic.name: sensor for sensor, topic in self._choice.topics.items()}
+        connections = [c for c in reader.connections if c.topic in sensors]
+        messages = reader.messages(connections=connections)
+        while True:
+            try:
+                connection, _, data = next(messages)
+            except StopIteration:
+                return
+            except Exception as error:
+                if left == Counter(self._info.counts):
+                    reason = ' '.join(str(error).split()) or type(error).__name__
+                    raise InputError(f'{self._path}: no message can be read ({reason})') from error
+                self._drops.update({(name, 'damaged'): n for name, n in left.items() if n > 0})
+                return
+            yield sensors[connection.topic], connection.msgtype, data
+
+    def _converters(self) -> dict[str, Converter]:
+        makers: dict[str, Maker] = {'imu': imu_from_message, 'gnss': fix_from_message}
+        makers |= dict.fromkeys(self._choice.lidars, scan_from_message)
+
+        def bind(sensor: str) -> Converter:
+            return lambda message: makers[sensor](message, sensor, self._offsets[sensor])
+
+        return {sensor: bind(sensor) for sensor in self._choice.topics}
+
+    def _time_notes(self, reader: AnyReader) -> Iterator[str]:
+        """What the first cloud of each LiDAR says about its points' times."""
+        for lidar in self._choice.lidars:
+            topic = self._choice.topics[lidar].name
+            connections = [c for c in reader.connections if c.topic == topic]
+            # A cloud that cannot be read is counted when its turn comes.
+            try:
+                connection, _, data = next(reader.messages(connections=connections))
+                message = reader.deserialize(data, connection.msgtype)
+                yield f'LiDAR {lidar}: {describe_times(message)}'
+            except Exception:
+                continue
+
+    def _truth_of_topic(self, topic: str) -> Trajectory | None:
+        stamps: list[int] = []
+        rows: list[list[float]] = []
+        with self._open() as reader:
+            connections = [c for c in reader.connections if c.topic == topic]
+            for connection, _, data in reader.messages(connections=connections):
+                message: Any = reader.deserialize(data, connection.msgtype)
+                place, turn = message.pose.pose.position, message.pose.pose.orientation
+                row = [place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w]
+                if np.isfinite(row).all() and np.any(row[3:]):
+                    stamps.append(header_stamp(message))
+                    rows.append(row)
+        if not rows:
+            return None
+        unique, order = np.unique(np.array(stamps, dtype=np.int64), return_index=True)
+        table = np.array(rows)[order]
+        quaternions = Rotation.from_quat(table[:, 3:]).as_quat()
+        return Trajectory(unique, table[:, :3], quaternions)
+
+
+def bag_files(path: Path) -> list[Path]:
+    """What the bag reader has to open for ``path``; raises InputError where that is no bag."""
+    if path.is_file():
+        if path.suffix in (*STORAGE_SUFFIXES, '.bag'):
+            return [path]
+        raise InputError(f'{path}: is no bag; expected a .mcap, .db3 or .bag file')
+    if not path.is_dir():
+        raise InputError(f'{path}: does not exist')
+    if (path / 'metadata.yaml').is_file():
+        return [path]
+    storage = sorted(file for file in path.iterdir() if file.suffix in STORAGE_SUFFIXES)
+    if len(storage) == 1:
+        return storage
+    if storage:
+        raise InputError(
+            f'{path}: has {len(storage)} bag files but no metadata.yaml; '
+            'make one with "ros2 bag reindex", or give one of the files'
+        )
+    ros1 = sorted(path.glob('*.bag'))
+    if not ros1:
+        raise InputError(f'{path}: is no bag; expected metadata.yaml, a .mcap, .db3 or .bag file')
+    return list(ros1)
+
+
+def _own_settings(folder: Path, listed: list[str] | None) -> Tree:
+    """The settings file beside a bag, without the LiDARs that the user does not list."""
+    path = folder / SETTINGS_FILE
+    if not path.is_file():
+        return {}
+    own = read_yaml(path)
+    lidars = own.get('lidars')
+    if listed is not None and isinstance(lidars, dict):
+        kept = {name: lidars[name] for name in listed if name in lidars}
+        own = {**own, 'lidars': {'names': list(listed), **kept}}
+    return own
+
+
+def _topic_settings(choice: Choice, configured: list[str]) -> Tree:
+    """Settings tree that names the chosen topics."""
+    chosen = {name: {'topic': topic.name} for name, topic in choice.topics.items()}
+    lidars: Tree = {'names': configured or list(choice.lidars)}
+    lidars |= {name: chosen[name] for name in choice.lidars}
+    return {'lidars': lidars} | {
+        name: value for name, value in chosen.items() if name not in choice.lidars
+    }

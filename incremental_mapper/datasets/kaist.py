@@ -1,0 +1,121 @@
+"""KAIST Complex Urban folders as a source of measurements."""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from incremental_mapper.config import Config, Sensor, Tree, make_config, merge
+from incremental_mapper.datasets.kaist_files import (
+    LIDARS,
+    Recording,
+    fix_parts,
+    imu_parts,
+    is_kaist_folder,
+    read_recording,
+    read_scan_folder,
+)
+from incremental_mapper.datasets.selection import listed_lidars, offset_nanoseconds
+from incremental_mapper.datasets.source import SourceInfo
+from incremental_mapper.datasets.truth import find_truth
+from incremental_mapper.errors import InputError, MeasurementError
+from incremental_mapper.measurements import Drops, Measurement, make_fix, make_imu, make_scan
+from incremental_mapper.trajectory import NANOSECONDS, Trajectory
+
+
+class KaistSource:
+    """A KAIST sequence, or a bare folder of ``<stamp>.bin`` scans (one LiDAR, ``left``)."""
+
+    def __init__(self, path: Path, settings: Mapping[str, Any] | None = None) -> None:
+        """Open the folder; ``settings`` is the user's tree (time offsets, names of the LiDARs).
+
+        Raises InputError where the folder cannot be used, ConfigError for bad settings.
+        """
+        tree = settings or {}
+        bare = not is_kaist_folder(path) and any(path.glob('*.bin'))
+        self._recording = read_scan_folder(path) if bare else read_recording(path)
+        used = _choose(self._recording, listed_lidars(tree))
+        own = extrinsic_settings(self._recording, used)
+        self._sensors = _sensors(make_config(merge(own, tree)), used)
+        self._late_drops: Drops = Counter()
+        first, last = self._recording.span()
+        self._info = SourceInfo(
+            path=path,
+            kind='folder of scans' if bare else 'KAIST folder',
+            counts={name: len(self._recording.streams[name].stamps) for name in used},
+            duration=(last - first) / NANOSECONDS,
+            settings=own,
+            notes=self._recording.notes,
+        )
+
+    @property
+    def info(self) -> SourceInfo:
+        """Facts about the folder."""
+        return self._info
+
+    @property
+    def drops(self) -> Drops:
+        """Unreadable lines, and the records that the last run of ``measurements`` could not use."""
+        return self._recording.drops + self._late_drops
+
+    def measurements(self) -> Iterator[Measurement]:
+        """All usable measurements by stamp; clouds are read when their turn comes."""
+        self._late_drops = Counter()
+        for stamp, sensor, index in self._recording.order():
+            if sensor not in self._sensors:
+                continue
+            shifted = stamp + offset_nanoseconds(self._sensors[sensor])
+            try:
+                record = self._recording.streams[sensor].load(index)
+                yield _measurement(shifted, sensor, record)
+            except MeasurementError as error:
+                self._late_drops[sensor, error.reason] += 1
+
+    def truth(self) -> Trajectory | None:
+        """The trajectory of ``global_pose.csv``, in the folder or in its ``sensor_data``."""
+        return find_truth([self._info.path, self._info.path / 'sensor_data'])
+
+
+def extrinsic_settings(recording: Recording, used: list[str]) -> Tree:
+    """Settings tree with the poses of the sensors ``used``, row-major 3x4."""
+    poses = {
+        name: {'T_base_sensor': recording.extrinsics[name][:3].ravel().tolist()} for name in used
+    }
+    lidars: Tree = {'names': [name for name in used if name in LIDARS]}
+    lidars |= {name: poses[name] for name in lidars['names']}
+    return {'lidars': lidars} | {name: pose for name, pose in poses.items() if name not in LIDARS}
+
+
+def _choose(recording: Recording, listed: list[str] | None) -> list[str]:
+    """The sensors to use; a listed LiDAR without scans is left out, the notes tell of it."""
+    if listed is None:
+        return list(recording.streams)
+    unknown = [name for name in listed if name not in LIDARS]
+    if unknown:
+        raise InputError(
+            f'{recording.path}: the settings list LiDAR {unknown[0]!r}; the folder has '
+            f'{" and ".join(recording.lidars)}'
+        )
+    used = [name for name in recording.streams if name in listed or name not in LIDARS]
+    if not any(name in LIDARS for name in used):
+        raise InputError(
+            f'{recording.path}: has no scans of the listed LiDARs {listed}, only of '
+            f'{" and ".join(recording.lidars)}'
+        )
+    return used
+
+
+def _sensors(config: Config, used: list[str]) -> dict[str, Sensor]:
+    known = {**config.lidars, 'imu': config.imu, 'gnss': config.gnss}
+    return {name: known[name] for name in used}
+
+
+def _measurement(stamp: int, sensor: str, record: NDArray[np.floating]) -> Measurement:
+    if sensor in LIDARS:
+        return make_scan(stamp, sensor, record[:, :3])
+    if sensor == 'imu':
+        return make_imu(stamp, sensor, *imu_parts(record))
+    return make_fix(stamp, sensor, *fix_parts(record))

@@ -1,0 +1,60 @@
+"""From a raw scan to points in base_link: range gate, deskewing, thinning."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import small_gicp
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from incremental_mapper.geometry import transform_points
+from incremental_mapper.measurements import LidarScan
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BaseScan:
+    """A scan in base_link at its stamp: ``points`` (N, 3) metres, float64."""
+
+    stamp: int
+    sensor: str
+    points: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Twist:
+    """Constant motion of base_link: ``linear`` (3,) m/s and ``angular`` (3,) rad/s, body frame."""
+
+    linear: NDArray[np.float64]
+    angular: NDArray[np.float64]
+
+
+STANDING = Twist(np.zeros(3), np.zeros(3))
+
+
+def to_base(
+    scan: LidarScan,
+    T_base_lidar: NDArray[np.float64],
+    min_range: float,
+    max_range: float,
+    twist: Twist | None,
+) -> BaseScan:
+    """Move a scan into base_link; ranges in metres from the LiDAR.
+
+    Where the scan has per-point times and a ``twist`` is given, each point is moved to where
+    base_link saw it at the scan's stamp.
+    """
+    ranges = np.linalg.norm(scan.points, axis=1)
+    keep = (ranges >= min_range) & (ranges <= max_range)
+    points = transform_points(T_base_lidar, scan.points[keep].astype(np.float64))
+    if twist is not None and scan.point_times is not None:
+        times = scan.point_times[keep].astype(np.float64)[:, None]
+        points = Rotation.from_rotvec(times * twist.angular).apply(points) + times * twist.linear
+    return BaseScan(stamp=scan.stamp, sensor=scan.sensor, points=points)
+
+
+def thin(points: NDArray[np.float64], voxel_size: float) -> NDArray[np.float64]:
+    """One mean point per voxel, (M, 3)."""
+    if len(points) == 0:
+        return points
+    thinned: NDArray[np.float64] = small_gicp.voxelgrid_sampling(points, voxel_size).points()
+    return thinned[:, :3]

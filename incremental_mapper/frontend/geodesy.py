@@ -1,0 +1,97 @@
+"""GNSS fixes in a local frame: WGS-84 to ENU, and the yaw between the map and ENU."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pymap3d
+from numpy.typing import NDArray
+
+from incremental_mapper.config import GnssSettings
+from incremental_mapper.errors import MeasurementError
+from incremental_mapper.measurements import GnssFix
+
+
+@dataclass(frozen=True, slots=True)
+class Datum:
+    """Origin of the local ENU frame: degrees and metres above the WGS-84 ellipsoid."""
+
+    latitude: float
+    longitude: float
+    altitude: float
+
+    def enu(self, fix: GnssFix) -> NDArray[np.float64]:
+        """Antenna position (3,) east, north, up in metres."""
+        east, north, up = pymap3d.geodetic2enu(
+            fix.latitude,
+            fix.longitude,
+            fix.altitude,
+            self.latitude,
+            self.longitude,
+            self.altitude,
+        )
+        return np.array([float(east), float(north), float(up)])
+
+
+def checked_covariance(fix: GnssFix, settings: GnssSettings) -> NDArray[np.float64]:
+    """Covariance (3, 3) in m^2, ENU, with the settings' floor and default.
+
+    Raises MeasurementError where the fix is below the wanted status or too uncertain.
+    """
+    where = f'{fix.sensor} at {fix.stamp}'
+    if fix.status < settings.min_status:
+        raise MeasurementError(
+            'low_status', f'{where}: status {fix.status.name} is below fixes.min_status'
+        )
+    if fix.covariance is None:
+        return np.eye(3) * settings.default_sigma**2
+    horizontal = float(np.sqrt(max(fix.covariance[0, 0], fix.covariance[1, 1])))
+    if horizontal > settings.max_sigma:
+        raise MeasurementError(
+            'too_uncertain',
+            f'{where}: standard deviation {horizontal:.2f} m is above fixes.max_sigma '
+            f'{settings.max_sigma} m',
+        )
+    covariance = (fix.covariance + fix.covariance.T) / 2.0
+    # A floor on every axis, and on every direction between them.
+    values, vectors = np.linalg.eigh(covariance)
+    floored: NDArray[np.float64] = (
+        vectors * np.maximum(values, settings.min_sigma**2)
+    ) @ vectors.T
+    return floored
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Alignment:
+    """How ENU sits in the map: p_map = R(yaw) · p_enu + offset; yaw in radians about up."""
+
+    yaw: float
+    offset: NDArray[np.float64]
+
+    def rotation(self) -> NDArray[np.float64]:
+        """R_map_enu (3, 3)."""
+        cosine, sine = np.cos(self.yaw), np.sin(self.yaw)
+        return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+
+    def to_map(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Positions (..., 3) from ENU to the map."""
+        moved: NDArray[np.float64] = position @ self.rotation().T + self.offset
+        return moved
+
+
+IDENTITY_ALIGNMENT = Alignment(yaw=0.0, offset=np.zeros(3))
+
+
+def align_track(
+    enu: NDArray[np.float64], local: NDArray[np.float64]
+) -> tuple[float, NDArray[np.float64]]:
+    """Yaw and shift with p_enu ≈ R(yaw) · p_local + shift, by least squares over (K, 3) tracks."""
+    enu_mean, local_mean = enu.mean(axis=0), local.mean(axis=0)
+    a, b = enu - enu_mean, local - local_mean
+    yaw = float(
+        np.arctan2(
+            np.sum(b[:, 0] * a[:, 1] - b[:, 1] * a[:, 0]),
+            np.sum(b[:, 0] * a[:, 0] + b[:, 1] * a[:, 1]),
+        )
+    )
+    turned = Alignment(yaw, np.zeros(3)).to_map(local_mean)
+    return yaw, enu_mean - turned

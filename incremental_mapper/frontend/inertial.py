@@ -1,0 +1,103 @@
+"""IMU spans: samples as arrays, pre-integration over a whole span, prediction, levelling."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from incremental_mapper.config import ImuSettings
+from incremental_mapper.measurements import ImuSample
+from incremental_mapper.trajectory import NANOSECONDS
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImuSeries:
+    """Samples in time order: stamps (K,) ns, gyro (K, 3) rad/s, acceleration (K, 3) m/s^2."""
+
+    stamps: NDArray[np.int64]
+    gyro: NDArray[np.float64]
+    acceleration: NDArray[np.float64]
+
+    def since(self, stamp: int) -> 'ImuSeries':
+        """The samples with a stamp of at least ``stamp``."""
+        low = int(np.searchsorted(self.stamps, stamp, side='left'))
+        return self.part(low, len(self.stamps))
+
+    def part(self, low: int, high: int) -> 'ImuSeries':
+        """The samples at positions [low, high)."""
+        return ImuSeries(
+            self.stamps[low:high], self.gyro[low:high], self.acceleration[low:high]
+        )
+
+    def joined(self, samples: Sequence[ImuSample]) -> 'ImuSeries':
+        """This series with newer samples behind it."""
+        if not samples:
+            return self
+        return ImuSeries(
+            np.append(self.stamps, np.array([s.stamp for s in samples], dtype=np.int64)),
+            np.vstack([self.gyro, *(s.gyro for s in samples)]),
+            np.vstack([self.acceleration, *(s.acceleration for s in samples)]),
+        )
+
+
+EMPTY_SERIES = ImuSeries(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros((0, 3)))
+
+
+def preintegration_parameters(
+    settings: ImuSettings, T_base_imu: NDArray[np.float64]
+) -> gtsam.PreintegrationCombinedParams:
+    """GTSAM parameters with every covariance set; its defaults are the identity."""
+    eye = np.eye(3)
+    parameters = gtsam.PreintegrationCombinedParams.MakeSharedU(settings.gravity)
+    parameters.setAccelerometerCovariance(eye * settings.accelerometer_noise**2)
+    parameters.setGyroscopeCovariance(eye * settings.gyroscope_noise**2)
+    parameters.setBiasAccCovariance(eye * settings.accelerometer_bias_walk**2)
+    parameters.setBiasOmegaCovariance(eye * settings.gyroscope_bias_walk**2)
+    parameters.setIntegrationCovariance(eye * settings.integration_sigma**2)
+    parameters.setBodyPSensor(gtsam.Pose3(T_base_imu))
+    return parameters
+
+
+def preintegrate(
+    series: ImuSeries,
+    start: int,
+    end: int,
+    parameters: gtsam.PreintegrationCombinedParams,
+    bias: gtsam.imuBias.ConstantBias,
+) -> gtsam.PreintegratedCombinedMeasurements:
+    """Integrate the whole span from ``start`` to ``end`` (ns) with the samples inside it.
+
+    Each sample stands for the time nearest to it, so the pieces before the first and after the
+    last sample are covered too. Raises ValueError where the span holds no sample.
+    """
+    low, high = np.searchsorted(series.stamps, (start, end), side='left')
+    stamps = series.stamps[low:high]
+    if len(stamps) == 0:
+        raise ValueError(f'no IMU sample between {start} and {end}')
+    # Stamps are subtracted as integers: doubles hold epoch nanoseconds to 256 ns only.
+    inner = (stamps[:-1] - start + stamps[1:] - start) / 2.0
+    edges = np.concatenate(([0.0], inner, [float(end - start)])) / NANOSECONDS
+    preintegrated = gtsam.PreintegratedCombinedMeasurements(parameters, bias)
+    for i, dt in enumerate(np.diff(edges)):
+        if dt > 0.0:  # a sample exactly at the start has half its time in the span before
+            preintegrated.integrateMeasurement(
+                series.acceleration[low + i], series.gyro[low + i], float(dt)
+            )
+    return preintegrated
+
+
+def level_rotation(acceleration: NDArray[np.float64], yaw: float) -> gtsam.Rot3:
+    """Rotation R_map_base that is level by gravity and has the given yaw in radians.
+
+    ``acceleration`` is the mean specific force (3,) in base_link, which points upwards at rest.
+    """
+    up = np.asarray(acceleration, dtype=np.float64)
+    norm = float(np.linalg.norm(up))
+    if not norm > 1.0:  # free fall or a dead sensor: nothing to level by
+        return gtsam.Rot3.Yaw(yaw)
+    x, y, z = up / norm
+    roll = float(np.arctan2(y, z))
+    pitch = float(np.arctan2(-x, np.hypot(y, z)))
+    return gtsam.Rot3.Ypr(yaw, pitch, roll)

@@ -1,0 +1,116 @@
+"""Scan matching between consecutive scans of one LiDAR, behind one protocol."""
+
+from collections import deque
+from dataclasses import dataclass
+from typing import Protocol
+
+import gtsam
+import numpy as np
+import small_gicp
+from kiss_icp.config import load_config
+from kiss_icp.kiss_icp import KissICP
+from numpy.typing import NDArray
+
+from incremental_mapper.config import OdometryMethod, OdometrySettings
+from incremental_mapper.geometry import transform_points
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Match:
+    """Motion between two scans: ``T_previous_current``, and whether the matcher converged."""
+
+    T_previous_current: gtsam.Pose3
+    converged: bool
+
+
+class ScanMatcher(Protocol):
+    """Matches the scans of one LiDAR one after the other."""
+
+    def match(self, points: NDArray[np.float64], guess: gtsam.Pose3) -> Match | None:
+        """Match a scan, points (N, 3) in base_link, to the previous one.
+
+        ``guess`` is T_previous_current as far as it is known. The first scan gives None.
+        """
+
+
+class KissMatcher:
+    """KISS-ICP: point-to-point against its own local map, the paper's front end.
+
+    It predicts by constant velocity itself, so the guess is not used.
+    """
+
+    def __init__(self, settings: OdometrySettings) -> None:
+        config = load_config(None)
+        config.data.deskew = False  # done before, where the cloud has usable point times
+        config.data.min_range = 0.0  # gated before, in the LiDAR's frame
+        config.data.max_range = settings.max_range + 10.0
+        config.mapping.voxel_size = settings.voxel_size
+        self._icp = KissICP(config)
+        self._started = False
+
+    def match(self, points: NDArray[np.float64], guess: gtsam.Pose3) -> Match | None:
+        """See ScanMatcher."""
+        before = self._icp.last_pose
+        self._icp.register_frame(points, np.array([]))
+        if not self._started:
+            self._started = True
+            return None
+        motion = np.linalg.inv(before) @ self._icp.last_pose
+        return Match(gtsam.Pose3(motion), converged=bool(np.isfinite(motion).all()))
+
+
+class GicpMatcher:
+    """small_gicp: generalised ICP to the previous scan, or to a sliding map of several."""
+
+    def __init__(self, settings: OdometrySettings) -> None:
+        self._settings = settings
+        self._recent: deque[tuple[small_gicp.PointCloud, small_gicp.KdTree]] = deque(maxlen=1)
+        # Points of the last scans, each in the newest scan's frame.
+        self._window: deque[NDArray[np.float64]] = deque(maxlen=settings.local_map_scans)
+
+    def match(self, points: NDArray[np.float64], guess: gtsam.Pose3) -> Match | None:
+        """See ScanMatcher."""
+        settings = self._settings
+        cloud, tree = small_gicp.preprocess_points(
+            points, downsampling_resolution=settings.voxel_size, num_neighbors=10
+        )
+        match: Match | None = None
+        if self._recent:
+            target, target_tree = self._target()
+            result = small_gicp.align(
+                target,
+                cloud,
+                target_tree,
+                init_T_target_source=guess.matrix(),
+                registration_type='GICP',
+                max_correspondence_distance=settings.max_correspondence,
+                max_iterations=30,
+            )
+            motion = np.asarray(result.T_target_source)
+            finite = bool(np.isfinite(motion).all())
+            pose = gtsam.Pose3(motion) if finite else guess
+            match = Match(pose, converged=bool(result.converged) and finite)
+            back = pose.inverse().matrix()
+            for i, older in enumerate(self._window):
+                self._window[i] = transform_points(back, older)
+        self._recent.append((cloud, tree))
+        if settings.local_map_scans > 1:
+            self._window.append(cloud.points()[:, :3])
+        return match
+
+    def _target(self) -> tuple[small_gicp.PointCloud, small_gicp.KdTree]:
+        if self._settings.local_map_scans == 1:
+            return self._recent[0]
+        cloud, tree = small_gicp.preprocess_points(
+            np.vstack(self._window),
+            downsampling_resolution=self._settings.voxel_size,
+            num_neighbors=10,
+        )
+        return cloud, tree
+
+
+def make_matcher(settings: OdometrySettings) -> ScanMatcher:
+    """The scan matcher that the settings name."""
+    if settings.method is OdometryMethod.KISS_ICP:
+        return KissMatcher(settings)
+    return GicpMatcher(settings)

@@ -1,0 +1,206 @@
+"""Variables and factors: a GTSAM factor together with what it was made of.
+
+Keys follow GTSAM's habit: ``x`` pose T_map_base, ``v`` velocity of base_link in the map (m/s),
+``b`` accelerometer and gyroscope bias, each with the number of its cluster.
+"""
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from incremental_mapper.config import GraphSettings
+
+
+class FactorKind(StrEnum):
+    """Kinds of factors, as files and statistics name them."""
+
+    ODOMETRY = 'odometry'
+    GNSS = 'gnss'
+    IMU = 'imu'
+    PRIOR_POSE = 'prior_pose'
+    PRIOR_VELOCITY = 'prior_velocity'
+    PRIOR_BIAS = 'prior_bias'
+    BRIDGE = 'bridge'
+
+
+def pose_key(cluster: int) -> int:
+    """Key of a cluster's pose."""
+    return int(gtsam.symbol('x', cluster))
+
+
+def velocity_key(cluster: int) -> int:
+    """Key of a cluster's velocity."""
+    return int(gtsam.symbol('v', cluster))
+
+
+def bias_key(cluster: int) -> int:
+    """Key of a cluster's IMU bias."""
+    return int(gtsam.symbol('b', cluster))
+
+
+def key_name(key: int) -> str:
+    """Readable name of a key, for example ``x12``."""
+    symbol = gtsam.Symbol(key)
+    return f'{chr(symbol.chr())}{symbol.index()}'
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Factor:
+    """One factor of G(t).
+
+    ``stamps`` are the stamps (ns) of the measurements that it was made of, ``data`` the measured
+    values and their noise in plain numbers, for the export.
+    """
+
+    kind: FactorKind
+    keys: tuple[int, ...]
+    factor: gtsam.NonlinearFactor
+    sensor: str | None = None
+    stamps: tuple[int, ...] = ()
+    data: dict[str, Any] = field(default_factory=dict)
+
+
+def pose_numbers(pose: gtsam.Pose3) -> list[float]:
+    """Position and quaternion x, y, z, qx, qy, qz, qw of a pose."""
+    turn = Rotation.from_matrix(pose.rotation().matrix()).as_quat()
+    return [float(value) for value in (*pose.translation(), *turn)]
+
+
+def pose_sigmas(translation: float, rotation: float) -> NDArray[np.float64]:
+    """Standard deviations (6,) in the order of GTSAM's Pose3 tangent: rotation first."""
+    return np.array([rotation] * 3 + [translation] * 3)
+
+
+def between_factor(
+    kind: FactorKind,
+    keys: tuple[int, int],
+    T_first_second: gtsam.Pose3,
+    sigmas: NDArray[np.float64],
+    sensor: str | None,
+    stamps: tuple[int, int],
+) -> Factor:
+    """Relative pose of two clusters: odometry of one LiDAR, or a bridge over missing data."""
+    noise = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
+    return Factor(
+        kind=kind,
+        keys=keys,
+        factor=gtsam.BetweenFactorPose3(*keys, T_first_second, noise),
+        sensor=sensor,
+        stamps=stamps,
+        data={'T_first_second': pose_numbers(T_first_second), 'sigmas': sigmas.tolist()},
+    )
+
+
+def gnss_factor(
+    key: int,
+    position: NDArray[np.float64],
+    covariance: NDArray[np.float64],
+    lever_arm: NDArray[np.float64],
+    robust_threshold: float,
+    sensor: str,
+    stamp: int,
+) -> Factor:
+    """Antenna position (3,) in the map, metres; ``lever_arm`` (3,) is the antenna in base_link."""
+    noise: gtsam.noiseModel.Base = gtsam.noiseModel.Gaussian.Covariance(covariance)
+    if robust_threshold > 0:
+        loss = gtsam.noiseModel.mEstimator.Huber.Create(robust_threshold)
+        noise = gtsam.noiseModel.Robust.Create(loss, noise)
+    return Factor(
+        kind=FactorKind.GNSS,
+        keys=(key,),
+        factor=gtsam.GPSFactorArm(key, position, lever_arm, noise),
+        sensor=sensor,
+        stamps=(stamp,),
+        data={
+            'position': position.tolist(),
+            'covariance': covariance.tolist(),
+            'lever_arm': lever_arm.tolist(),
+        },
+    )
+
+
+def imu_factor(
+    start: int,
+    end: int,
+    preintegrated: gtsam.PreintegratedCombinedMeasurements,
+    sensor: str,
+    span: tuple[int, int],
+    samples: NDArray[np.int64],
+) -> Factor:
+    """Pre-integrated span between two clusters; ``samples`` are the stamps of what it holds."""
+    keys = (
+        pose_key(start),
+        velocity_key(start),
+        pose_key(end),
+        velocity_key(end),
+        bias_key(start),
+        bias_key(end),
+    )
+    return Factor(
+        kind=FactorKind.IMU,
+        keys=keys,
+        factor=gtsam.CombinedImuFactor(*keys, preintegrated),
+        sensor=sensor,
+        stamps=(int(samples[0]), int(samples[-1])),
+        data={
+            'span_ns': list(span),
+            'samples': len(samples),
+            'delta_t': preintegrated.deltaTij(),
+            'delta_position': preintegrated.deltaPij().tolist(),
+            'delta_velocity': preintegrated.deltaVij().tolist(),
+            'delta_rotation_vector': gtsam.Rot3.Logmap(preintegrated.deltaRij()).tolist(),
+            'bias_hat': preintegrated.biasHatVector().tolist(),
+        },
+    )
+
+
+def pose_prior(key: int, pose: gtsam.Pose3, sigmas: NDArray[np.float64], stamp: int) -> Factor:
+    """Prior on a pose; ``sigmas`` (6,) are rotation first, in the body frame."""
+    noise = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
+    return Factor(
+        kind=FactorKind.PRIOR_POSE,
+        keys=(key,),
+        factor=gtsam.PriorFactorPose3(key, pose, noise),
+        stamps=(stamp,),
+        data={'T_map_base': pose_numbers(pose), 'sigmas': sigmas.tolist()},
+    )
+
+
+def inertial_priors(
+    cluster: int,
+    velocity: NDArray[np.float64],
+    velocity_sigma: float,
+    bias: gtsam.imuBias.ConstantBias,
+    settings: GraphSettings,
+    stamp: int,
+) -> tuple[Factor, Factor]:
+    """Priors on velocity and bias where an inertial chain starts: nothing else holds them."""
+    bias_sigmas = np.array(
+        [settings.prior_sigma_accelerometer_bias] * 3 + [settings.prior_sigma_gyroscope_bias] * 3
+    )
+    held = (velocity_key(cluster), bias_key(cluster))
+    return (
+        Factor(
+            kind=FactorKind.PRIOR_VELOCITY,
+            keys=(held[0],),
+            factor=gtsam.PriorFactorVector(
+                held[0], velocity, gtsam.noiseModel.Isotropic.Sigma(3, velocity_sigma)
+            ),
+            stamps=(stamp,),
+            data={'velocity': velocity.tolist(), 'sigma': velocity_sigma},
+        ),
+        Factor(
+            kind=FactorKind.PRIOR_BIAS,
+            keys=(held[1],),
+            factor=gtsam.PriorFactorConstantBias(
+                held[1], bias, gtsam.noiseModel.Diagonal.Sigmas(bias_sigmas)
+            ),
+            stamps=(stamp,),
+            data={'bias': bias.vector().tolist(), 'sigmas': bias_sigmas.tolist()},
+        ),
+    )

@@ -1,0 +1,76 @@
+"""Solving small graphs, and marginals that stand in for the rest of G(t).
+
+GTSAM returns without a word on under-constrained graphs and on NaN, so every result is checked
+for finite numbers here; QR is used throughout because Cholesky breaks down on the weakly held
+velocities and biases that candidates are full of.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solution:
+    """Optimised variables, and Σ‖h(x)−z‖²_Σ over all factors that were solved."""
+
+    values: gtsam.Values
+    error: float
+    iterations: int
+
+
+def make_graph(factors: Iterable[gtsam.NonlinearFactor]) -> gtsam.NonlinearFactorGraph:
+    """Collect factors in a GTSAM graph."""
+    graph = gtsam.NonlinearFactorGraph()
+    for factor in factors:
+        graph.push_back(factor)
+    return graph
+
+
+def squared_error(factors: Iterable[gtsam.NonlinearFactor], values: gtsam.Values) -> float:
+    """Σ‖h(x)−z‖²_Σ; GTSAM's ``error`` is half of it (paper, Minimum Solver Error)."""
+    return 2.0 * float(sum(factor.error(values) for factor in factors))
+
+
+def optimize(
+    graph: gtsam.NonlinearFactorGraph, initial: gtsam.Values, max_iterations: int
+) -> Solution | None:
+    """Levenberg-Marquardt; None where the result is not finite or the graph cannot be solved."""
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setMaxIterations(max_iterations)
+    parameters.setLinearSolverType('MULTIFRONTAL_QR')
+    try:
+        optimizer = gtsam.LevenbergMarquardtOptimizer(graph, initial, parameters)
+        values = optimizer.optimize()
+        error = 2.0 * float(optimizer.error())
+    except RuntimeError:
+        return None
+    # LM hands back the initial values when the error is NaN; the error itself stays NaN.
+    if not np.isfinite(error):
+        return None
+    return Solution(values=values, error=error, iterations=int(optimizer.iterations()))
+
+
+def marginal_factors(
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, dropped: Sequence[int]
+) -> list[gtsam.LinearContainerFactor]:
+    """What ``graph`` says about the other variables once ``dropped`` are eliminated.
+
+    Linear factors at ``values``. Raises RuntimeError where a dropped variable is undetermined.
+    """
+    linear = graph.linearize(values)
+    if not dropped:
+        rest = linear
+    else:
+        ordering = gtsam.Ordering()
+        for key in dropped:
+            ordering.push_back(key)
+        _, rest = linear.eliminatePartialSequential(ordering, gtsam.EliminateQR)
+    factors = (rest.at(i) for i in range(rest.size()))
+    return [
+        gtsam.LinearContainerFactor(factor, values)
+        for factor in factors
+        if factor is not None and factor.size() > 0
+    ]

@@ -1,0 +1,192 @@
+"""Appending the winner: G(t) = G(t-1) ⊕ G_best (paper, Algorithm 1)."""
+
+from collections.abc import Sequence
+
+import gtsam
+import numpy as np
+
+from incremental_mapper.candidates.clusters import Candidate, CoreKind
+from incremental_mapper.config import Config
+from incremental_mapper.graph.factors import (
+    Factor,
+    FactorKind,
+    bias_key,
+    key_name,
+    pose_key,
+    velocity_key,
+)
+from incremental_mapper.graph.smoother import extend, shorten
+from incremental_mapper.mapper.front_end import PreparedFix, PreparedScan
+from incremental_mapper.mapper.local_graph import WindowFactors, WindowInputs
+from incremental_mapper.mapper.state import (
+    Frontier,
+    GraphState,
+    PlacedCluster,
+    PlacedFix,
+    PlacedScan,
+)
+from incremental_mapper.trajectory import NANOSECONDS
+
+
+def append_candidate(
+    state: GraphState,
+    window: int,
+    candidate: Candidate,
+    initial: gtsam.Values,
+    extra: Sequence[Factor],
+    factors: WindowFactors,
+    inputs: WindowInputs,
+    consecutive: bool,
+) -> tuple[list[PlacedCluster], list[Factor]]:
+    """Give the winner its final numbers, append it to ``state`` and optimise the lag.
+
+    ``extra`` are weak priors or bridges beside the candidate's own factors; ``consecutive``
+    makes the next window connect from the newest cluster whatever it has. Returns the new
+    clusters and factors.
+    """
+    config = inputs.config
+    placed: list[PlacedCluster] = []
+    final: dict[int, int] = {}
+    for cluster in candidate.clusters:
+        number = len(state.clusters) + len(placed)
+        placed.append(PlacedCluster(number, window, cluster))
+        local = factors.local_id(cluster)
+        for make in (pose_key, velocity_key, bias_key):
+            final[make(local)] = make(number)
+    made = [_renamed(factor, final) for factor in [*factors.factors(candidate), *extra]]
+    values = gtsam.Values()
+    for key in initial.keys():  # noqa: SIM118 (no mapping)
+        _copy_renamed(initial, key, final.get(key, key), values)
+    state.lag = extend(
+        state.lag,
+        [factor.factor for factor in made],
+        values,
+        {item.id: item.cluster.stamp for item in placed},
+        config.graph.max_iterations,
+    )
+    _remember_measurements(state, placed, factors, inputs, made)
+    state.factors.extend(made)
+    state.clusters.extend(placed)
+    for factor in made:
+        for key in factor.keys:
+            state.components.union(factor.keys[0], key)
+    state.frontier = _next_frontier(state, placed, inputs, consecutive)
+    head = state.frontier.head
+    if head is not None and state.frontier.head_inertial:
+        state.last_velocity, state.last_bias = state.velocity(head), state.bias(head)
+    elif len(inputs.states) > 0:
+        state.last_velocity = inputs.states[max(inputs.states)].velocity
+    oldest = state.frontier.newest_stamp - round(config.graph.lag * NANOSECONDS)
+    state.lag, gone = shorten(state.lag, oldest, state.frontier.clusters())
+    state.keep(gone)
+    return placed, made
+
+
+def _renamed(factor: Factor, final: dict[int, int]) -> Factor:
+    keys = tuple(final.get(key, key) for key in factor.keys)
+    return Factor(
+        kind=factor.kind,
+        keys=keys,
+        factor=factor.factor.rekey(list(keys)),
+        sensor=factor.sensor,
+        stamps=factor.stamps,
+        data=factor.data,
+    )
+
+
+def _copy_renamed(source: gtsam.Values, key: int, name: int, target: gtsam.Values) -> None:
+    kind = key_name(key)[0]
+    if kind == 'x':
+        target.insert(name, source.atPose3(key))
+    elif kind == 'v':
+        target.insert(name, source.atVector(key))
+    else:
+        target.insert(name, source.atConstantBias(key))
+
+
+def _remember_measurements(
+    state: GraphState,
+    placed: Sequence[PlacedCluster],
+    factors: WindowFactors,
+    inputs: WindowInputs,
+    made: Sequence[Factor],
+) -> None:
+    place = {
+        (factor.sensor, factor.stamps[0]): len(state.factors) + index
+        for index, factor in enumerate(made)
+        if factor.kind is FactorKind.GNSS
+    }
+    for item in placed:
+        for core in item.cluster.members:
+            prepared = inputs.prepared[core]
+            offset = factors.offset(item.cluster, core.stamp)
+            if isinstance(prepared, PreparedScan):
+                points = prepared.thinned.astype(np.float32)
+                state.scans.append(
+                    PlacedScan(item.id, core.stamp, core.sensor, points, offset)
+                )
+            elif isinstance(prepared, PreparedFix):
+                arm = offset.transformFrom(inputs.config.gnss.matrix()[:3, 3])
+                state.fixes.append(
+                    PlacedFix(
+                        item.id,
+                        core.stamp,
+                        prepared.enu,
+                        prepared.covariance,
+                        arm,
+                        place[core.sensor, core.stamp],
+                    )
+                )
+                state.alignment = inputs.alignment
+
+
+def _next_frontier(
+    state: GraphState,
+    placed: Sequence[PlacedCluster],
+    inputs: WindowInputs,
+    consecutive: bool,
+) -> Frontier:
+    config: Config = inputs.config
+    newest = max(placed, key=lambda item: item.cluster.stamp)
+    newest_stamp = newest.cluster.stamp
+    chains = dict(state.frontier.chains)
+    for item in placed:
+        for core in item.cluster.members:
+            if core.kind is CoreKind.LIDAR and core.stamp >= chains.get(core.sensor, (0, 0))[1]:
+                chains[core.sensor] = (item.id, core.stamp)
+    # A scan that can no longer be matched to need not stay in the lag.
+    max_gap = round(config.odometry.max_gap * NANOSECONDS)
+    chains = {
+        name: (id_, stamp) for name, (id_, stamp) in chains.items()
+        if newest_stamp - stamp <= max_gap
+    }
+    state.scan_offsets = {
+        (scan.sensor, scan.stamp): scan.T_cluster_scan
+        for scan in state.scans[-50 * max(len(chains), 1) :]
+        if chains.get(scan.sensor, (0, -1))[1] == scan.stamp
+    }
+    inertial = [item for item in placed if state.has_inertial(item.id)]
+    old = state.frontier
+    head, head_stamp, head_inertial = old.head, old.head_stamp, old.head_inertial
+    if inertial:
+        last = max(inertial, key=lambda item: item.cluster.stamp)
+        head, head_stamp, head_inertial = last.id, last.cluster.stamp, True
+    elif head is not None and state.has_inertial(head):
+        head_inertial = True
+    # Samples between the inertial cluster and the newest one were in no usable span: a span
+    # from the older cluster would be unusable again, so the chain starts anew at the newest.
+    max_hole = round(config.preintegration.max_gap * NANOSECONDS)
+    stamps = inputs.series.stamps
+    between = int(np.sum((stamps >= head_stamp) & (stamps < newest_stamp)))
+    stale = consecutive or newest_stamp - head_stamp > max_hole or between > 0
+    if head is None or not head_inertial or (head != newest.id and stale):
+        head, head_stamp = newest.id, newest_stamp
+        head_inertial = state.has_inertial(newest.id)
+    return Frontier(
+        chains=chains,
+        head=head,
+        head_stamp=head_stamp,
+        head_inertial=head_inertial,
+        newest=newest.id,
+        newest_stamp=newest_stamp,
+    )

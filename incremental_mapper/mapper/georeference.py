@@ -1,0 +1,130 @@
+"""From a local map to ENU: the yaw comes from the GNSS track once the car has moved.
+
+Until then ENU is laid into the map without a turn, and a fix is trusted the less the further the
+car has moved since the first one: a wrong yaw puts it at most twice that far away.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import gtsam
+import numpy as np
+
+from incremental_mapper.config import Config
+from incremental_mapper.frontend.geodesy import IDENTITY_ALIGNMENT, align_track
+from incremental_mapper.geometry import pose_matrix
+from incremental_mapper.graph.factors import (
+    Factor,
+    FactorKind,
+    gnss_factor,
+    pose_prior,
+)
+from incremental_mapper.graph.smoother import Lag, copy_value, shorten
+from incremental_mapper.graph.solver import make_graph, optimize
+from incremental_mapper.mapper.front_end import Prepared, PreparedFix
+from incremental_mapper.mapper.state import GraphState
+
+
+def fix_spread(state: GraphState, items: Sequence[Prepared]) -> Mapping[int, float]:
+    """Extra standard deviation in metres of each fix, by stamp, while the yaw is unknown."""
+    if state.georeferenced:
+        return {}
+    fixes = [item for item in items if isinstance(item, PreparedFix)]
+    if not fixes:
+        return {}
+    first = state.fixes[0].enu if state.fixes else fixes[0].enu
+    return {
+        fix.core.stamp: 2.0 * float(np.linalg.norm((fix.enu - first)[:2])) for fix in fixes
+    }
+
+
+def moved_enough(state: GraphState, min_distance: float) -> bool:
+    """Whether the fixes so far fix the yaw: the track must stand out from its noise."""
+    if state.georeferenced or len(state.fixes) < 2:
+        return False
+    first = state.fixes[0]
+    for fix in state.fixes[1:]:
+        noise = np.sqrt(first.covariance[0, 0] + fix.covariance[0, 0])
+        if np.linalg.norm((fix.enu - first.enu)[:2]) > max(min_distance, 5.0 * float(noise)):
+            return True
+    return False
+
+
+def georeference(state: GraphState, config: Config) -> bool:
+    """Turn all of G(t) into ENU by its GNSS track, and solve it again with full-weight fixes.
+
+    Returns whether it was done. Costs one solve of all of G(t), once in a drive.
+    """
+    if not moved_enough(state, config.fixes.min_distance):
+        return False
+    enu = np.array([fix.enu for fix in state.fixes])
+    local = np.array([state.pose(fix.cluster).transformFrom(fix.lever_arm) for fix in state.fixes])
+    yaw, shift = align_track(enu, local)
+    T_enu_map = gtsam.Pose3(gtsam.Rot3.Yaw(yaw), shift)
+    turned = _turn(state.all_values(), T_enu_map)
+    factors = [_turned_prior(factor, T_enu_map, config) for factor in state.factors]
+    for fix in state.fixes:
+        factors[fix.factor] = gnss_factor(
+            factors[fix.factor].keys[0],
+            fix.enu,
+            fix.covariance,
+            fix.lever_arm,
+            config.fixes.robust_threshold,
+            factors[fix.factor].sensor or 'gnss',
+            fix.stamp,
+        )
+    plain = tuple(factor.factor for factor in factors)
+    solution = optimize(make_graph(plain), turned, 100)
+    values = turned if solution is None else solution.values
+    clusters = {placed.id: placed.cluster.stamp for placed in state.clusters}
+    newest = max(clusters.values())
+    lag, gone = shorten(
+        Lag(factors=plain, values=values, clusters=clusters),
+        newest - round(config.graph.lag * 1e9),
+        state.frontier.clusters(),
+    )
+    state.factors = factors
+    state.values = gone
+    state.lag = lag
+    state.last_velocity = T_enu_map.rotation().rotate(state.last_velocity)
+    state.alignment = IDENTITY_ALIGNMENT
+    state.georeferenced = True
+    return True
+
+
+def _turn(values: gtsam.Values, T_enu_map: gtsam.Pose3) -> gtsam.Values:
+    turned = gtsam.Values()
+    for key in values.keys():  # noqa: SIM118 (no mapping)
+        kind = chr(gtsam.Symbol(key).chr())
+        if kind == 'x':
+            turned.insert(key, T_enu_map.compose(values.atPose3(key)))
+        elif kind == 'v':
+            turned.insert(key, T_enu_map.rotation().rotate(values.atVector(key)))
+        else:
+            copy_value(values, key, turned)
+    return turned
+
+
+def _turned_prior(factor: Factor, T_enu_map: gtsam.Pose3, config: Config) -> Factor:
+    """A prior on a pose or velocity under the new frame; other factors do not care.
+
+    Position and yaw of the priors are only loosely held from here on: the fixes know better.
+    """
+    if factor.kind is FactorKind.PRIOR_POSE:
+        graph = config.graph
+        sigmas = np.maximum(
+            np.array(factor.data['sigmas']),
+            [0.0, 0.0, graph.prior_sigma_yaw] + [graph.weak_sigma_position] * 3,
+        )
+        pose = T_enu_map.compose(gtsam.Pose3(pose_matrix(factor.data['T_map_base'])))
+        return pose_prior(factor.keys[0], pose, sigmas, factor.stamps[0])
+    if factor.kind is FactorKind.PRIOR_VELOCITY:
+        velocity = T_enu_map.rotation().rotate(np.array(factor.data['velocity']))
+        noise = gtsam.noiseModel.Isotropic.Sigma(3, factor.data['sigma'])
+        return Factor(
+            kind=factor.kind,
+            keys=factor.keys,
+            factor=gtsam.PriorFactorVector(factor.keys[0], velocity, noise),
+            stamps=factor.stamps,
+            data={**factor.data, 'velocity': velocity.tolist()},
+        )
+    return factor

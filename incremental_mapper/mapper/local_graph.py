@@ -1,0 +1,297 @@
+"""The factors of a window's candidates; what candidates share is built once."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+
+from incremental_mapper.candidates.clusters import (
+    HEAD,
+    Candidate,
+    Cluster,
+    CoreMeasurement,
+)
+from incremental_mapper.config import Config
+from incremental_mapper.frontend.geodesy import Alignment
+from incremental_mapper.frontend.inertial import ImuSeries, preintegrate
+from incremental_mapper.graph.connectivity import UnionFind
+from incremental_mapper.graph.factors import (
+    Factor,
+    FactorKind,
+    between_factor,
+    bias_key,
+    gnss_factor,
+    imu_factor,
+    inertial_priors,
+    pose_key,
+    pose_prior,
+    pose_sigmas,
+    velocity_key,
+)
+from incremental_mapper.mapper.front_end import Prepared, PreparedFix, PreparedScan
+from incremental_mapper.mapper.prediction import State, propagate
+from incremental_mapper.mapper.state import Frontier
+from incremental_mapper.trajectory import NANOSECONDS
+
+GRAPH = 'G(t-1)'
+"""The node that stands for all of G(t-1) in the connectivity of a candidate."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WindowInputs:
+    """Everything that the factors of a window are made of."""
+
+    prepared: Mapping[CoreMeasurement, Prepared]
+    states: Mapping[int, State]
+    series: ImuSeries
+    parameters: gtsam.PreintegrationCombinedParams
+    frontier: Frontier
+    head_state: State
+    scan_offsets: Mapping[tuple[str, int], gtsam.Pose3]
+    alignment: Alignment
+    fix_inflation: Mapping[int, float]
+    base_id: int
+    config: Config
+
+
+class WindowFactors:
+    """Builds candidates' factors; the same cluster has the same keys in every candidate."""
+
+    def __init__(self, inputs: WindowInputs, elements: int) -> None:
+        self._in = inputs
+        self._elements = elements
+        self._cache: dict[tuple[object, ...], tuple[Factor, ...]] = {}
+        self._offsets: dict[tuple[int, int], gtsam.Pose3] = {}
+        self._sigmas = pose_sigmas(
+            inputs.config.odometry.sigma_translation, inputs.config.odometry.sigma_rotation
+        )
+
+    def local_id(self, cluster: Cluster) -> int:
+        """Number of a cluster while candidates compete; unique within the window."""
+        return self._in.base_id + cluster.first * self._elements + cluster.last
+
+    def home(self, candidate: Candidate) -> dict[tuple[str, int], int]:
+        """Cluster of every scan that an odometry of this window may start from."""
+        homes = {(name, stamp): id_ for name, (id_, stamp) in self._in.frontier.chains.items()}
+        for cluster in candidate.clusters:
+            for core in cluster.members:
+                homes[core.sensor, core.stamp] = self.local_id(cluster)
+        return homes
+
+    def components(self, candidate: Candidate) -> list[list[Cluster]]:
+        """Clusters by component, without those that reach G(t-1); in time order.
+
+        In the first window there is no G(t-1), and the first component counts as it.
+        """
+        sets: UnionFind[object] = UnionFind()
+        homes = self.home(candidate)
+        known = {id_ for id_, _ in self._in.frontier.chains.values()}
+        ids = [self.local_id(cluster) for cluster in candidate.clusters]
+        if self._in.frontier.newest is None and ids:
+            sets.union(GRAPH, ids[0])
+        for cluster, own in zip(candidate.clusters, ids, strict=True):
+            for core in cluster.members:
+                item = self._in.prepared[core]
+                if isinstance(item, PreparedScan) and item.previous is not None:
+                    other = homes.get((core.sensor, item.previous))
+                    if other is not None:
+                        sets.union(GRAPH if other in known else other, own)
+        for link in candidate.connections:
+            sets.union(GRAPH if link.start == HEAD else ids[link.start], ids[link.end])
+        loose: dict[object, list[Cluster]] = {}
+        for cluster, own in zip(candidate.clusters, ids, strict=True):
+            root = sets.find(own)
+            if root != sets.find(GRAPH):
+                loose.setdefault(root, []).append(cluster)
+        return list(loose.values())
+
+    def offset(self, cluster: Cluster, stamp: int) -> gtsam.Pose3:
+        """T_cluster_member: the identity, or the predicted motion if that is compensated."""
+        if not self._in.config.graph.motion_compensation or stamp == cluster.stamp:
+            return gtsam.Pose3()
+        key = (cluster.stamp, stamp)
+        if key not in self._offsets:
+            # Dead reckoning from one state keeps the noise of single matches out of this.
+            at = [self._reckon(moment) for moment in key]
+            self._offsets[key] = at[0].pose.between(at[1].pose)
+        return self._offsets[key]
+
+    def _reckon(self, stamp: int) -> State:
+        inputs = self._in
+        max_gap = round(inputs.config.preintegration.max_gap * NANOSECONDS)
+        return propagate(inputs.head_state, stamp, inputs.series, inputs.parameters, max_gap)
+
+    def factors(self, candidate: Candidate) -> list[Factor]:
+        """All factors of a candidate except priors that hold loose components."""
+        homes = self.home(candidate)
+        by_home = {self.local_id(cluster): cluster for cluster in candidate.clusters}
+        made: list[Factor] = []
+        for cluster in candidate.clusters:
+            for core in cluster.members:
+                item = self._in.prepared[core]
+                if isinstance(item, PreparedFix):
+                    made.extend(self._gnss(item, cluster))
+                elif item.previous is not None and (core.sensor, item.previous) in homes:
+                    start = homes[core.sensor, item.previous]
+                    made.extend(self._odometry(item, start, by_home.get(start), cluster))
+        for link in candidate.connections:
+            made.extend(self._imu(candidate, link.start, link.end))
+        made.extend(self._inertial_priors(candidate))
+        if self._in.frontier.newest is None:
+            first = candidate.clusters[0]
+            made.append(self._first_prior(first))
+        return made
+
+    def weak_prior(self, cluster: Cluster) -> Factor:
+        """Holds a component that nothing else connects, at its predicted pose."""
+        graph = self._in.config.graph
+        sigmas = pose_sigmas(graph.weak_sigma_position, graph.weak_sigma_rotation)
+        pose = self._in.states[cluster.stamp].pose
+        return pose_prior(pose_key(self.local_id(cluster)), pose, sigmas, cluster.stamp)
+
+    def bridge(self, cluster: Cluster, newest_pose: gtsam.Pose3) -> Factor:
+        """Loosely ties a component to the newest cluster by the predicted motion."""
+        graph = self._in.config.graph
+        assert self._in.frontier.newest is not None
+        return between_factor(
+            FactorKind.BRIDGE,
+            (pose_key(self._in.frontier.newest), pose_key(self.local_id(cluster))),
+            newest_pose.between(self._in.states[cluster.stamp].pose),
+            pose_sigmas(graph.weak_sigma_position, graph.weak_sigma_rotation),
+            None,
+            (self._in.frontier.newest_stamp, cluster.stamp),
+        )
+
+    def initial(self, candidate: Candidate) -> gtsam.Values:
+        """Initial values of the candidate's new variables."""
+        values = gtsam.Values()
+        for index, cluster in enumerate(candidate.clusters):
+            own, state = self.local_id(cluster), self._in.states[cluster.stamp]
+            values.insert(pose_key(own), state.pose)
+            if index in candidate.inertial_clusters:
+                values.insert(velocity_key(own), state.velocity)
+                values.insert(bias_key(own), self._in.head_state.bias)
+        if self.starts_head(candidate):
+            head = self._in.frontier.head
+            assert head is not None
+            values.insert(velocity_key(head), self._in.head_state.velocity)
+            values.insert(bias_key(head), self._in.head_state.bias)
+        return values
+
+    def starts_head(self, candidate: Candidate) -> bool:
+        """Whether the candidate gives velocity and bias to a cluster of G(t-1)."""
+        return HEAD in candidate.inertial_clusters and not self._in.frontier.head_inertial
+
+    def _odometry(
+        self, item: PreparedScan, start: int, start_cluster: Cluster | None, end: Cluster
+    ) -> tuple[Factor, ...]:
+        own = self.local_id(end)
+        key = ('odometry', item.core, start, own)
+        if key not in self._cache:
+            assert item.previous is not None and item.T_previous_current is not None
+            before = (
+                self._in.scan_offsets.get((item.core.sensor, item.previous), gtsam.Pose3())
+                if start_cluster is None
+                else self.offset(start_cluster, item.previous)
+            )
+            after = self.offset(end, item.core.stamp)
+            motion = before.compose(item.T_previous_current).compose(after.inverse())
+            self._cache[key] = (
+                between_factor(
+                    FactorKind.ODOMETRY,
+                    (pose_key(start), pose_key(own)),
+                    motion,
+                    self._sigmas,
+                    item.core.sensor,
+                    (item.previous, item.core.stamp),
+                ),
+            )
+        return self._cache[key]
+
+    def _gnss(self, item: PreparedFix, cluster: Cluster) -> tuple[Factor, ...]:
+        own = self.local_id(cluster)
+        key = ('gnss', item.core, own)
+        if key not in self._cache:
+            config = self._in.config
+            spread = self._in.fix_inflation.get(item.core.stamp, 0.0)
+            arm = config.gnss.matrix()[:3, 3]
+            arm = self.offset(cluster, item.core.stamp).transformFrom(arm)
+            turn = self._in.alignment.rotation()
+            inflated = item.covariance + np.diag([spread**2, spread**2, 0.0])
+            self._cache[key] = (
+                gnss_factor(
+                    pose_key(own),
+                    self._in.alignment.to_map(item.enu),
+                    turn @ inflated @ turn.T,
+                    arm,
+                    config.fixes.robust_threshold,
+                    item.core.sensor,
+                    item.core.stamp,
+                ),
+            )
+        return self._cache[key]
+
+    def _ends(self, candidate: Candidate, index: int) -> tuple[int, int]:
+        """Cluster number and stamp of one end of a connection."""
+        if index == HEAD:
+            assert self._in.frontier.head is not None
+            return self._in.frontier.head, self._in.frontier.head_stamp
+        cluster = candidate.clusters[index]
+        return self.local_id(cluster), cluster.stamp
+
+    def _imu(self, candidate: Candidate, start: int, end: int) -> tuple[Factor, ...]:
+        first, first_stamp = self._ends(candidate, start)
+        last, last_stamp = self._ends(candidate, end)
+        key = ('imu', first, last)
+        if key not in self._cache:
+            series = self._in.series
+            low, high = np.searchsorted(series.stamps, (first_stamp, last_stamp), side='left')
+            span = preintegrate(
+                series, first_stamp, last_stamp, self._in.parameters, self._in.head_state.bias
+            )
+            stamps = series.stamps[low:high]
+            self._cache[key] = (
+                imu_factor(first, last, span, 'imu', (first_stamp, last_stamp), stamps),
+            )
+        return self._cache[key]
+
+    def _inertial_priors(self, candidate: Candidate) -> Sequence[Factor]:
+        """Priors where an inertial chain starts that does not continue an older one."""
+        ends = {link.end for link in candidate.connections}
+        starts = sorted({link.start for link in candidate.connections} - ends)
+        graph = self._in.config.graph
+        made: list[Factor] = []
+        for start in starts:
+            if start == HEAD and self._in.frontier.head_inertial:
+                continue
+            id_, stamp = self._ends(candidate, start)
+            known = self._in.frontier.head_inertial
+            velocity = (
+                self._in.head_state if start == HEAD else self._in.states[stamp]
+            ).velocity
+            key = ('inertial', id_)
+            if key not in self._cache:
+                sigma = graph.weak_sigma_velocity if known else graph.prior_sigma_velocity
+                self._cache[key] = inertial_priors(
+                    id_, velocity, sigma, self._in.head_state.bias, graph, stamp
+                )
+            made.extend(self._cache[key])
+        return made
+
+    def _first_prior(self, cluster: Cluster) -> Factor:
+        return first_prior(
+            self.local_id(cluster), self._in.states[cluster.stamp].pose, cluster.stamp,
+            self._in.config,
+        )
+
+
+def first_prior(cluster: int, pose: gtsam.Pose3, stamp: int, config: Config) -> Factor:
+    """Prior that holds the map's first pose: level well, yaw loosely."""
+    graph = config.graph
+    sigmas = np.array(
+        [graph.prior_sigma_level] * 2
+        + [graph.prior_sigma_yaw]
+        + [graph.prior_sigma_position] * 3
+    )
+    return pose_prior(pose_key(cluster), pose, sigmas, stamp)

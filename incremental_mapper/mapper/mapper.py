@@ -1,0 +1,312 @@
+"""Measurements in, G(t), poses, map and statistics out: the only place that keeps state."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from incremental_mapper.candidates.partitions import elements
+from incremental_mapper.candidates.search import by_time_shift
+from incremental_mapper.candidates.spans import ImuStamps
+from incremental_mapper.config import Config
+from incremental_mapper.criteria.criterion import strategy_plan
+from incremental_mapper.frontend.inertial import EMPTY_SERIES, preintegration_parameters
+from incremental_mapper.graph.factors import Factor
+from incremental_mapper.graph.smoother import copy_value, frontier_prior
+from incremental_mapper.graph.solver import make_graph, optimize, squared_error
+from incremental_mapper.mapper.appending import append_candidate
+from incremental_mapper.mapper.front_end import FrontEnd, Prepared
+from incremental_mapper.mapper.georeference import georeference
+from incremental_mapper.mapper.inputs import window_inputs
+from incremental_mapper.mapper.local_graph import WindowFactors, WindowInputs
+from incremental_mapper.mapper.result import MapResult, WindowResult
+from incremental_mapper.mapper.scenes import SceneBuilder
+from incremental_mapper.mapper.selection import Choice, Prior, Task, choose
+from incremental_mapper.mapper.state import BaseCount, GraphState, PlacedCluster
+from incremental_mapper.mapper.statistics import Totals, run_stats, window_row
+from incremental_mapper.measurements import ImuSample, Measurement
+from incremental_mapper.trajectory import NANOSECONDS, Trajectory, from_matrices
+from incremental_mapper.windows.buffer import Window, WindowBuffer
+
+
+class Mapper:
+    """The method of the paper, one window after the other.
+
+    Push measurements in any order that ``window.lateness`` allows; every call returns the
+    windows that it completed. ``finish`` closes the rest and returns the whole map.
+    ``sensors`` are the names to wait for from the start.
+    """
+
+    def __init__(self, config: Config, sensors: Sequence[str] = ()) -> None:
+        self.config = config
+        self._plan = strategy_plan(config.selection.strategy)
+        self._buffer = WindowBuffer(config.window, sensors)
+        self._front_end = FrontEnd(config)
+        self._parameters = preintegration_parameters(config.preintegration, config.imu.matrix())
+        self._imu_gap = round(config.preintegration.max_gap * NANOSECONDS)
+        self._series = EMPTY_SERIES
+        self._orientation: NDArray[np.float64] | None = None
+        self._carried: list[Prepared] = []
+        self._state = GraphState()
+        self._base = BaseCount()
+        self._base_last: int | None = None
+        self._totals = Totals()
+        self._rows: list[dict[str, Any]] = []
+
+    @property
+    def state(self) -> GraphState:
+        """G(t)."""
+        return self._state
+
+    def push(self, measurement: Measurement) -> list[WindowResult]:
+        """Take in a measurement and run the windows that it closed."""
+        self._totals.received[measurement.sensor] += 1
+        self._buffer.push(measurement)
+        return [self._run(window) for window in self._buffer.pop_ready()]
+
+    def flush(self) -> list[WindowResult]:
+        """Close and run every open window without waiting for anything late."""
+        results = [self._run(window) for window in self._buffer.flush()]
+        if self._carried:
+            last = self._carried[-1].core.stamp
+            results.append(self._window([], (last, last + 1), {}, force=True))
+        return results
+
+    def finish(self) -> MapResult:
+        """Run what is left, optimise G(t) once more if the settings say so, and sum up."""
+        self.flush()
+        if self.config.graph.final_optimization and self._state.clusters:
+            values = self._state.all_values()
+            everything = make_graph(factor.factor for factor in self._state.factors)
+            solution = optimize(everything, values, 100)
+            if solution is None:
+                self._totals.solver_failures += 1
+            else:
+                self._state.replace(solution.values)
+        return MapResult(
+            clusters=tuple(self._state.clusters),
+            factors=tuple(self._state.factors),
+            values=self._state.all_values(),
+            trajectory=self.trajectory(),
+            scans=tuple(self._state.scans),
+            fixes=self._fixes(),
+            rows=tuple(self._rows),
+            stats=self.stats(),
+        )
+
+    def trajectory(self) -> Trajectory:
+        """Newest estimate of every cluster's pose T_map_base, in time order."""
+        clusters = self._state.clusters
+        matrices = [self._state.pose(placed.id).matrix() for placed in clusters]
+        stamps = np.array([placed.cluster.stamp for placed in clusters], dtype=np.int64)
+        return from_matrices(stamps, np.array(matrices).reshape(-1, 4, 4))
+
+    def stats(self) -> dict[str, Any]:
+        """The keys of stats.json so far."""
+        datum = self._front_end.datum
+        stats = run_stats(
+            self.config,
+            self._state,
+            self._base,
+            self._totals,
+            drops=self._buffer.drops + self._front_end.drops,
+            notes=self._front_end.notes,
+            late=self._buffer.late,
+            unused=[item.core for item in self._carried],
+        )
+        stats['datum'] = None if datum is None else [datum.latitude, datum.longitude, datum.altitude]
+        return stats
+
+    def _fixes(self) -> NDArray[np.float64]:
+        alignment = self._state.alignment
+        if alignment is None:
+            return np.zeros((0, 3))
+        return alignment.to_map(np.array([fix.enu for fix in self._state.fixes]).reshape(-1, 3))
+
+    def _run(self, window: Window) -> WindowResult:
+        started = time.perf_counter()
+        for sample in window.imu:
+            self._keep_orientation(sample)
+        self._series = self._series.joined(window.imu)
+        prepared = self._front_end.prepare(window.core)
+        seconds = {'front_end': time.perf_counter() - started}
+        return self._window(prepared, (window.start, window.end), seconds)
+
+    def _keep_orientation(self, sample: ImuSample) -> None:
+        if self._orientation is None and sample.orientation is not None:
+            self._orientation = sample.orientation
+
+    def _window(
+        self,
+        prepared: Sequence[Prepared],
+        bounds: tuple[int, int],
+        seconds: dict[str, float],
+        force: bool = False,
+    ) -> WindowResult:
+        """Choose and append; measurements that no candidate connects are carried on."""
+        items = sorted([*self._carried, *prepared], key=lambda item: item.core)
+        if not items:
+            return self._close(bounds, items, None, [], [], seconds)
+        self._count_base(prepared)
+        started = time.perf_counter()
+        inputs = window_inputs(
+            items,
+            self._state,
+            self._series,
+            self._orientation,
+            self._parameters,
+            self.config,
+        )
+        parts = elements(item.core for item in items)
+        factors = WindowFactors(inputs, len(parts))
+        scenes = SceneBuilder(
+            items, inputs, factors, self._state, self.config.mom.submap_scans
+        )
+        frontier = self._state.frontier
+        task = Task(
+            parts=parts,
+            head=None if frontier.head is None else frontier.head_stamp,
+            imu=ImuStamps(self._series.stamps, self._imu_gap),
+            factors=factors,
+            scenes=scenes,
+            prior=self._frontier_prior,
+            max_iterations=self.config.graph.max_iterations,
+        )
+        seconds['candidates'] = time.perf_counter() - started
+        choice = choose(task, self._plan, self.config.selection, self.config.mom)
+        extra = [factors.weak_prior(part[0]) for part in choice.loose]
+        if choice.winner is None:
+            waited = (items[-1].core.stamp - items[0].core.stamp) / NANOSECONDS
+            if not force and waited < self.config.window.max_carry:
+                self._carried = items
+                return self._close(bounds, items, choice, [], [], seconds)
+            choice, extra = self._bridged(choice, task, inputs)
+        self._carried = []
+        started = time.perf_counter()
+        placed, made = self._append(choice, extra, factors, inputs)
+        seconds['append'] = time.perf_counter() - started
+        return self._close(bounds, items, choice, placed, made, seconds)
+
+    def _frontier_prior(self) -> Prior:
+        """Marginal of G(t-1) on the frontier, with the values it was taken at."""
+        lag, values = self._state.lag, gtsam.Values()
+        if lag.values is None:
+            return Prior((), values)
+        held = self._state.frontier.clusters()
+        keys = [
+            key
+            for key in lag.values.keys()  # noqa: SIM118 (no mapping)
+            if gtsam.Symbol(key).index() in held
+        ]
+        for key in keys:
+            copy_value(lag.values, key, values)
+        return Prior(tuple(frontier_prior(lag, keys)), values)
+
+    def _bridged(
+        self, choice: Choice, task: Task, inputs: WindowInputs
+    ) -> tuple[Choice, list[Factor]]:
+        """The least shifted candidate, with loose ties in place of what is missing.
+
+        Taken only when measurements have waited for ``window.max_carry`` and nothing came that
+        connects them.
+        """
+        best = next(by_time_shift(task.parts, task.head, task.imu))
+        newest = self._state.frontier.newest
+        loose = task.factors.components(best)
+        self._totals.bridges += len(loose)
+        if newest is None:
+            extra = [task.factors.weak_prior(part[0]) for part in loose]
+        else:
+            pose = self._state.pose(newest)
+            extra = [task.factors.bridge(part[0], pose) for part in loose]
+        bridged = replace(
+            choice, winner=best, initial=task.factors.initial(best), score_name='bridged'
+        )
+        return bridged, extra
+
+    def _append(
+        self,
+        choice: Choice,
+        extra: Sequence[Factor],
+        factors: WindowFactors,
+        inputs: WindowInputs,
+    ) -> tuple[list[PlacedCluster], list[Factor]]:
+        assert choice.winner is not None and choice.initial is not None
+        placed, made = append_candidate(
+            self._state,
+            self._totals.windows,
+            choice.winner,
+            choice.initial,
+            extra,
+            factors,
+            inputs,
+            consecutive=self._plan.only_base,
+        )
+        self._totals.solver_failures += int(not self._state.lag.healthy)
+        georeference(self._state, self.config)
+        frontier = self._state.frontier
+        # Samples after the last cluster stamp belong to the next window.
+        self._series = self._series.since(min(frontier.head_stamp, frontier.newest_stamp))
+        return placed, made
+
+    def _count_base(self, prepared: Sequence[Prepared]) -> None:
+        imu = ImuStamps(self._series.stamps, self._imu_gap)
+        known = {item.core: item for item in prepared}
+        for part in elements(known):
+            stamp = part[0].stamp
+            before, self._base_last = self._base_last, stamp
+            joined = before is not None and imu.first_sample(before, stamp) is not None
+            links = [known[core] for core in part]
+            odometry = sum(getattr(item, 'previous', None) is not None for item in links)
+            gnss = sum(item.core.kind == 'gnss' for item in links)
+            self._base.add_element(odometry, gnss, joined)
+
+    def _newest_error(self, made: Sequence[Factor]) -> float:
+        """Σ‖h(x)−z‖²_Σ of the window's factors after the lag was optimised with them."""
+        touched = {key for factor in made for key in factor.keys}
+        values = gtsam.Values()
+        for key in touched:
+            copy_value(self._state.holder(key), key, values)
+        return squared_error((factor.factor for factor in made), values)
+
+    def _close(
+        self,
+        bounds: tuple[int, int],
+        items: Sequence[Prepared],
+        choice: Choice | None,
+        placed: Sequence[PlacedCluster],
+        made: Sequence[Factor],
+        seconds: dict[str, float],
+    ) -> WindowResult:
+        """Record a window's numbers."""
+        totals = self._totals
+        error = self._newest_error(made)
+        for stage, spent in (choice.seconds if choice else {}).items():
+            seconds[stage] = seconds.get(stage, 0.0) + spent
+        if choice is not None:
+            totals.add_choice(choice)
+        totals.solver_error += error
+        totals.add_seconds(seconds)
+        core = [item.core for item in items]
+        if core:
+            first = totals.first_stamp
+            totals.first_stamp = core[0].stamp if first is None else min(first, core[0].stamp)
+            totals.last_stamp = max(totals.last_stamp, core[-1].stamp)
+        row = window_row(
+            totals.windows, bounds, core, len(self._series.stamps), choice, error, seconds
+        )
+        self._rows.append(row)
+        totals.windows += 1
+        return WindowResult(
+            index=totals.windows - 1,
+            start=bounds[0],
+            end=bounds[1],
+            winner=None if choice is None or not placed else choice.winner,
+            clusters=tuple(placed),
+            poses=tuple(self._state.pose(item.id) for item in placed),
+            row=row,
+        )

@@ -1,0 +1,75 @@
+"""Where the car probably is at each stamp of a window: initial values, never measurements."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from incremental_mapper.frontend.inertial import ImuSeries, preintegrate
+from incremental_mapper.mapper.front_end import Prepared, PreparedScan
+from incremental_mapper.trajectory import NANOSECONDS
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class State:
+    """Pose T_map_base, velocity (3,) in the map (m/s) and IMU bias at a stamp (ns)."""
+
+    stamp: int
+    pose: gtsam.Pose3
+    velocity: NDArray[np.float64]
+    bias: gtsam.imuBias.ConstantBias
+
+
+def propagate(
+    state: State,
+    stamp: int,
+    series: ImuSeries,
+    parameters: gtsam.PreintegrationCombinedParams,
+    max_gap: int,
+) -> State:
+    """Carry a state to another stamp: by the IMU where it covers the time, else straight on."""
+    low, high = np.searchsorted(series.stamps, (state.stamp, stamp), side='left')
+    inside = series.stamps[low:high]
+    covered = len(inside) > 0 and max(inside[0] - state.stamp, stamp - inside[-1]) <= max_gap
+    if covered:
+        span = preintegrate(series, state.stamp, stamp, parameters, state.bias)
+        moved = span.predict(gtsam.NavState(state.pose, state.velocity), state.bias)
+        return State(stamp, moved.pose(), moved.velocity(), state.bias)
+    shift = state.velocity * ((stamp - state.stamp) / NANOSECONDS)
+    pose = gtsam.Pose3(state.pose.rotation(), state.pose.translation() + shift)
+    return State(stamp, pose, state.velocity, state.bias)
+
+
+def predict(
+    prepared: Sequence[Prepared],
+    start: State,
+    scan_poses: Mapping[tuple[str, int], gtsam.Pose3],
+    series: ImuSeries,
+    parameters: gtsam.PreintegrationCombinedParams,
+    max_gap: int,
+) -> dict[int, State]:
+    """States at the stamps of the core measurements, in time order.
+
+    ``scan_poses`` are the known poses of earlier scans by (sensor, stamp). A scan with odometry
+    goes where its odometry puts it; everything else follows the state before it.
+    """
+    poses = dict(scan_poses)
+    states: dict[int, State] = {}
+    current = start
+    for item in prepared:
+        stamp = item.core.stamp
+        moved = propagate(current, stamp, series, parameters, max_gap)
+        if isinstance(item, PreparedScan):
+            last = poses.get((item.core.sensor, item.previous)) if item.previous else None
+            if last is not None and item.previous is not None and stamp not in states:
+                assert item.T_previous_current is not None
+                pose = last.compose(item.T_previous_current)
+                passed = (stamp - item.previous) / NANOSECONDS
+                velocity = (pose.translation() - last.translation()) / passed
+                moved = State(stamp, pose, velocity, current.bias)
+            poses[item.core.sensor, stamp] = states.get(stamp, moved).pose
+        states.setdefault(stamp, moved)
+        current = states[stamp]
+    return states

@@ -1,0 +1,81 @@
+"""What a window's candidates are judged on: its new scans among the recent ones."""
+
+from collections.abc import Sequence
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from incremental_mapper.candidates.clusters import Candidate
+from incremental_mapper.criteria.mom import Scene
+from incremental_mapper.frontend.clouds import thin
+from incremental_mapper.geometry import transform_points
+from incremental_mapper.graph.factors import pose_key
+from incremental_mapper.mapper.front_end import Prepared, PreparedScan
+from incremental_mapper.mapper.local_graph import WindowFactors, WindowInputs
+from incremental_mapper.mapper.state import GraphState, PlacedScan
+
+
+class SceneBuilder:
+    """Places a window's scans among the recent ones of G(t-1).
+
+    Scans of frontier clusters move with the candidates, since a local solve moves their poses
+    too; the other recent scans stay where G(t-1) has them.
+    """
+
+    def __init__(
+        self,
+        items: Sequence[Prepared],
+        inputs: WindowInputs,
+        factors: WindowFactors,
+        state: GraphState,
+        recent: int,
+    ) -> None:
+        held = state.frontier.clusters()
+        last = state.scans[-recent:]
+        self._state = state
+        self._inputs = inputs
+        self._factors = factors
+        self._new = [item for item in items if isinstance(item, PreparedScan)]
+        self._touched = [scan for scan in last if scan.cluster in held]
+        self._settled = [scan for scan in last if scan.cluster not in held]
+
+    def scene(self) -> Scene:
+        """The scene at the predicted poses."""
+        states = self._inputs.states
+        voxel = self._inputs.config.mom.voxel_size
+        settled = [
+            transform_points(self._pose(scan), thin(scan.points.astype(np.float64), voxel))
+            for scan in self._settled
+        ]
+        moving = [item.thinned for item in self._new]
+        moving += [scan.points.astype(np.float64) for scan in self._touched]
+        predicted = [states[item.core.stamp].pose.matrix() for item in self._new]
+        predicted += [self._pose(scan) for scan in self._touched]
+        last = max(states)
+        return Scene(
+            fixed=np.vstack([np.zeros((0, 3)), *settled]),
+            moving=[thin(points, voxel) for points in moving],
+            predicted=np.array(predicted).reshape(-1, 4, 4),
+            fresh=len(self._new),
+            origin=states[last].pose.translation(),
+        )
+
+    def poses(self, candidate: Candidate, values: gtsam.Values) -> NDArray[np.float64]:
+        """Poses T_map_base (S, 4, 4) of the scene's moving scans under solved values."""
+        owner = {core: cluster for cluster in candidate.clusters for core in cluster.members}
+        poses = []
+        for item in self._new:
+            cluster = owner[item.core]
+            pose = values.atPose3(pose_key(self._factors.local_id(cluster)))
+            offset = self._factors.offset(cluster, item.core.stamp)
+            poses.append(pose.compose(offset).matrix())
+        for scan in self._touched:
+            pose = values.atPose3(pose_key(scan.cluster))
+            poses.append(pose.compose(scan.T_cluster_scan).matrix())
+        return np.array(poses).reshape(-1, 4, 4)
+
+    def _pose(self, scan: PlacedScan) -> NDArray[np.float64]:
+        pose = self._state.pose(scan.cluster).compose(scan.T_cluster_scan)
+        matrix: NDArray[np.float64] = pose.matrix()
+        return matrix

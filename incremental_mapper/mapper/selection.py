@@ -1,0 +1,227 @@
+"""One window's choice: enumerate, filter, solve, score (paper, Algorithm 1, steps 3 to 5)."""
+
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from itertools import islice
+
+import gtsam
+import numpy as np
+
+from incremental_mapper.candidates.clusters import Candidate, Cluster
+from incremental_mapper.candidates.enumeration import base_candidate, candidates, upper_bound
+from incremental_mapper.candidates.partitions import Element
+from incremental_mapper.candidates.search import by_time_shift
+from incremental_mapper.candidates.spans import ImuStamps
+from incremental_mapper.config import MomSettings, SelectionSettings
+from incremental_mapper.criteria.criterion import (
+    Mom,
+    Proposal,
+    StrategyPlan,
+)
+from incremental_mapper.criteria.mom import direct_score, fast_score
+from incremental_mapper.graph.smoother import copy_value
+from incremental_mapper.graph.solver import make_graph, optimize, squared_error
+from incremental_mapper.mapper.local_graph import WindowFactors
+from incremental_mapper.mapper.scenes import SceneBuilder
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Verification:
+    """Fast against direct MOM in one window.
+
+    ``regret`` is the direct score of the fast winner over the best direct score, minus one;
+    the times are seconds for all candidates together.
+    """
+
+    same_winner: bool
+    regret: float
+    fast_seconds: float
+    direct_seconds: float
+    setup_seconds: float
+    scored: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Choice:
+    """The winner of a window and how it was found; ``winner`` is None where none connects."""
+
+    winner: Candidate | None
+    initial: gtsam.Values | None
+    loose: tuple[tuple[Cluster, ...], ...]
+    score: float | None
+    score_name: str
+    enumerated: int
+    connected: int
+    solved: int
+    cut: bool
+    seconds: dict[str, float]
+    verification: Verification | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prior:
+    """Linear factors on the frontier's variables, and the values they were taken at."""
+
+    factors: tuple[gtsam.NonlinearFactor, ...]
+    values: gtsam.Values
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Task:
+    """What is needed to choose: the elements, their factors, and what they are judged on.
+
+    ``prior`` gives the marginal of G(t-1) on the frontier; it is asked for only where something
+    is solved. ``head`` is the stamp of the cluster to connect from.
+    """
+
+    parts: tuple[Element, ...]
+    head: int | None
+    imu: ImuStamps
+    factors: WindowFactors
+    scenes: SceneBuilder
+    prior: Callable[[], Prior]
+    max_iterations: int
+
+
+def choose(
+    task: Task, plan: StrategyPlan, selection: SelectionSettings, mom: MomSettings
+) -> Choice:
+    """Pick the best connected candidate; ties go to fewer vertices, then to the finer partition."""
+    clock = _Clock()
+    if plan.only_base:
+        base = base_candidate(task.parts, task.head, task.imu)
+        loose = tuple(tuple(part) for part in task.factors.components(base))
+        clock.lap('candidates')
+        return Choice(
+            winner=base,
+            initial=task.factors.initial(base),
+            loose=loose,
+            score=None,
+            score_name='base',
+            enumerated=1,
+            connected=int(not loose),
+            solved=0,
+            cut=False,
+            seconds=clock.seconds,
+        )
+    bound = upper_bound(len(task.parts), task.head is not None)
+    cut = bound > selection.max_candidates
+    pool: Iterable[Candidate] = (
+        islice(by_time_shift(task.parts, task.head, task.imu), selection.max_candidates)
+        if cut
+        else candidates(task.parts, task.head, task.imu)
+    )
+    enumerated = list(pool)
+    connected = [item for item in enumerated if not task.factors.components(item)]
+    clock.lap('candidates')
+    scene = task.scenes.scene() if plan.scene and connected else None
+    criterion = plan.make(scene, mom, selection.direct)
+    clock.lap('score')
+    proposals = list(_propose(task, plan, connected, scene is not None, clock))
+    scores = [criterion.score(proposal) for proposal, _ in proposals]
+    clock.lap('score')
+    verification = None
+    if selection.verify and isinstance(criterion, Mom):
+        verification = _verify(criterion, [proposal for proposal, _ in proposals], clock)
+    best = _best(scores, [proposal.candidate for proposal, _ in proposals])
+    return Choice(
+        winner=None if best is None else proposals[best][0].candidate,
+        initial=None if best is None else proposals[best][1],
+        loose=(),
+        score=None if best is None else scores[best],
+        score_name=criterion.name,
+        enumerated=len(enumerated),
+        connected=len(connected),
+        solved=len(proposals) if plan.solve else 0,
+        cut=cut,
+        seconds=clock.seconds,
+        verification=verification,
+    )
+
+
+def _best(scores: list[float], pool: list[Candidate]) -> int | None:
+    finite = [i for i, score in enumerate(scores) if np.isfinite(score)]
+    return min(finite, key=lambda i: (scores[i], pool[i].vertices, i), default=None)
+
+
+def _propose(
+    task: Task,
+    plan: StrategyPlan,
+    connected: list[Candidate],
+    wants_poses: bool,
+    clock: '_Clock',
+) -> Iterator[tuple[Proposal, gtsam.Values]]:
+    """Solve the connected candidates; what cannot be solved is left out."""
+    if not plan.solve:
+        for candidate in connected:
+            yield Proposal(candidate), task.factors.initial(candidate)
+        return
+    if not connected:
+        return
+    prior = task.prior()
+    clock.lap('solve')
+    for candidate in connected:
+        own = [factor.factor for factor in task.factors.factors(candidate)]
+        fresh = task.factors.initial(candidate)
+        initial = gtsam.Values(prior.values)
+        initial.insert(fresh)
+        solution = optimize(make_graph([*prior.factors, *own]), initial, task.max_iterations)
+        if solution is None:
+            continue
+        error = squared_error(own, solution.values)
+        poses = task.scenes.poses(candidate, solution.values) if wants_poses else None
+        clock.lap('solve')
+        yield Proposal(candidate, error, poses), _restrict(solution.values, fresh)
+
+
+def _restrict(values: gtsam.Values, wanted: gtsam.Values) -> gtsam.Values:
+    """The values of the variables that ``wanted`` names."""
+    restricted = gtsam.Values()
+    for key in wanted.keys():  # noqa: SIM118 (no mapping)
+        copy_value(values, key, restricted)
+    return restricted
+
+
+def _verify(criterion: Mom, proposals: list[Proposal], clock: '_Clock') -> Verification | None:
+    """Score every candidate by both evaluations."""
+    poses = [proposal.poses for proposal in proposals if proposal.poses is not None]
+    clock.lap('verify')
+    fast = [fast_score(criterion.judges, pose, criterion.scene.origin) for pose in poses]
+    fast_seconds = clock.lap('verify')
+    direct = [
+        direct_score(criterion.judges, pose, criterion.scene, criterion.settings)
+        for pose in poses
+    ]
+    direct_seconds = clock.lap('verify')
+    pairs = [(a, b) for a, b in zip(fast, direct, strict=True) if a is not None and b is not None]
+    if not pairs:
+        return None
+    pick = min(range(len(pairs)), key=lambda i: pairs[i][0])
+    best = min(range(len(pairs)), key=lambda i: pairs[i][1])
+    floor = pairs[best][1]
+    return Verification(
+        same_winner=pick == best,
+        regret=pairs[pick][1] / floor - 1.0 if floor > 0 else 0.0,
+        fast_seconds=fast_seconds,
+        direct_seconds=direct_seconds,
+        setup_seconds=clock.seconds.get('score', 0.0),
+        scored=len(pairs),
+    )
+
+
+class _Clock:
+    """Adds up the seconds of a window's stages."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def lap(self, stage: str) -> float:
+        """Charge the time since the last lap to a stage."""
+        now = time.perf_counter()
+        passed, self._last = now - self._last, now
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + passed
+        return passed
+
+

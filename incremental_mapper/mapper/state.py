@@ -1,0 +1,192 @@
+"""G(t): every cluster, factor and value so far, and the lag in which it still changes."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from incremental_mapper.candidates.clusters import Cluster
+from incremental_mapper.frontend.geodesy import Alignment
+from incremental_mapper.graph.connectivity import UnionFind
+from incremental_mapper.graph.factors import (
+    Factor,
+    FactorKind,
+    bias_key,
+    pose_key,
+    velocity_key,
+)
+from incremental_mapper.graph.smoother import Lag, copy_value
+
+
+@dataclass(frozen=True, slots=True)
+class Frontier:
+    """What a new factor may touch, by cluster id.
+
+    ``chains`` holds the cluster, and the stamp, of each LiDAR's last scan; ``head`` is the
+    cluster to connect from and ``head_inertial`` says whether it has velocity and bias.
+    """
+
+    chains: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+    head: int | None = None
+    head_stamp: int = 0
+    head_inertial: bool = False
+    newest: int | None = None
+    newest_stamp: int = 0
+
+    def clusters(self) -> set[int]:
+        """Every cluster that may still be touched."""
+        ids = {id_ for id_, _ in self.chains.values()}
+        return ids | {id_ for id_ in (self.head, self.newest) if id_ is not None}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlacedCluster:
+    """A cluster of G(t) under its final number."""
+
+    id: int
+    window: int
+    cluster: Cluster
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlacedScan:
+    """A scan of the map: points (N, 3) float32 in base_link, and where its cluster holds it.
+
+    ``T_cluster_scan`` is the identity unless motion is compensated within clusters.
+    """
+
+    cluster: int
+    stamp: int
+    sensor: str
+    points: NDArray[np.float32]
+    T_cluster_scan: gtsam.Pose3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlacedFix:
+    """A fix of G(t), in ENU, with the place of its factor in ``GraphState.factors``."""
+
+    cluster: int
+    stamp: int
+    enu: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    lever_arm: NDArray[np.float64]
+    factor: int
+
+
+@dataclass(slots=True)
+class GraphState:
+    """All that the mapper remembers.
+
+    ``values`` holds what has left the lag. ``scan_offsets`` is T_cluster_scan of each LiDAR's
+    last scan. ``last_velocity`` and ``last_bias`` are the newest ones that were estimated.
+    ``alignment`` is how ENU sits in the map; ``georeferenced`` says that the map is ENU.
+    """
+
+    clusters: list[PlacedCluster] = field(default_factory=list)
+    factors: list[Factor] = field(default_factory=list)
+    scans: list[PlacedScan] = field(default_factory=list)
+    fixes: list[PlacedFix] = field(default_factory=list)
+    lag: Lag = field(default_factory=Lag)
+    values: gtsam.Values = field(default_factory=gtsam.Values)
+    components: UnionFind[int] = field(default_factory=UnionFind)
+    frontier: Frontier = field(default_factory=Frontier)
+    scan_offsets: dict[tuple[str, int], gtsam.Pose3] = field(default_factory=dict)
+    last_velocity: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+    last_bias: gtsam.imuBias.ConstantBias = field(default_factory=gtsam.imuBias.ConstantBias)
+    alignment: Alignment | None = None
+    georeferenced: bool = False
+
+    def pose(self, cluster: int) -> gtsam.Pose3:
+        """Newest estimate of a cluster's pose T_map_base."""
+        return self.holder(pose_key(cluster)).atPose3(pose_key(cluster))
+
+    def velocity(self, cluster: int) -> NDArray[np.float64]:
+        """Newest estimate of a cluster's velocity (3,), m/s in the map."""
+        key = velocity_key(cluster)
+        velocity: NDArray[np.float64] = self.holder(key).atVector(key)
+        return velocity
+
+    def bias(self, cluster: int) -> gtsam.imuBias.ConstantBias:
+        """Newest estimate of a cluster's IMU bias."""
+        return self.holder(bias_key(cluster)).atConstantBias(bias_key(cluster))
+
+    def has_inertial(self, cluster: int) -> bool:
+        """Whether a cluster has velocity and bias."""
+        key = velocity_key(cluster)
+        return self.values.exists(key) or (
+            self.lag.values is not None and self.lag.values.exists(key)
+        )
+
+    def all_values(self) -> gtsam.Values:
+        """Newest estimate of every variable of G(t)."""
+        values = gtsam.Values(self.values)
+        if self.lag.values is not None:
+            values.insert(self.lag.values)
+        return values
+
+    def keep(self, gone: gtsam.Values) -> None:
+        """Store variables that left the lag."""
+        for key in gone.keys():  # noqa: SIM118 (no mapping)
+            copy_value(gone, key, self.values)
+
+    def replace(self, values: gtsam.Values) -> None:
+        """Take over new estimates of every variable."""
+        inside = self.lag.values
+        lagged, settled = gtsam.Values(), gtsam.Values()
+        for key in values.keys():  # noqa: SIM118 (no mapping)
+            home = lagged if inside is not None and inside.exists(key) else settled
+            copy_value(values, key, home)
+        self.values = settled
+        if inside is not None:
+            self.lag = Lag(self.lag.factors, lagged, self.lag.clusters, self.lag.healthy)
+
+    def holder(self, key: int) -> gtsam.Values:
+        """The values that hold a variable's newest estimate."""
+        lag = self.lag.values
+        return lag if lag is not None and lag.exists(key) else self.values
+
+
+@dataclass(slots=True)
+class BaseCount:
+    """Counts the base graph of the same measurements without building it (paper, Base).
+
+    Every element has a pose, one IMU factor joins every consecutive pair with a usable span, and
+    velocity and bias exist at the ends of those.
+    """
+
+    clusters: int = 0
+    inertial: int = 0
+    factors: dict[str, int] = field(default_factory=dict)
+    _last_inertial: bool = False
+
+    def add_element(self, odometry: int, gnss: int, connected: bool) -> None:
+        """One more element, with its factors and whether a span joins it to the one before."""
+        self.clusters += 1
+        self._count(FactorKind.ODOMETRY, odometry)
+        self._count(FactorKind.GNSS, gnss)
+        if self.clusters == 1:
+            self._count(FactorKind.PRIOR_POSE, 1)
+        if connected:
+            self._count(FactorKind.IMU, 1)
+            if not self._last_inertial:
+                self.inertial += 1  # the element before starts a chain
+                self._count(FactorKind.PRIOR_VELOCITY, 1)
+                self._count(FactorKind.PRIOR_BIAS, 1)
+            self.inertial += 1
+        self._last_inertial = connected
+
+    def _count(self, kind: FactorKind, number: int) -> None:
+        self.factors[kind] = self.factors.get(kind, 0) + number
+
+    @property
+    def vertices(self) -> int:
+        """Poses, velocities and biases."""
+        return self.clusters + 2 * self.inertial
+
+    @property
+    def total_factors(self) -> int:
+        """All factors, priors included, without the weak priors of loose components."""
+        return sum(self.factors.values())

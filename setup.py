@@ -1,0 +1,60 @@
+"""Packaging for pip and for colcon (build type ament_python)."""
+
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+NAME = 'incremental_mapper'
+SETTINGS = sorted(str(path) for path in Path('config').glob('*.yaml'))
+
+SIMULATION = ['trimesh>=4.0', 'embreex>=2.17.7.post4']
+PICTURES = ['matplotlib>=3.8']
+# GTSAM's wheel needs pytest 9, and Jazzy's launch_testing plugin does not load on 9.1 or later.
+TESTS = [
+    'pytest==9.0.*',
+    'pytest-timeout>=2.3',
+    'hypothesis>=6.100',
+    'evo>=1.31',
+    'import-linter>=2.1',
+    'mypy>=1.10',
+    'ruff>=0.5',
+    'types-PyYAML',
+    'types-tqdm',
+]
+# A ROS installation provides these itself; the wheels serve machines without one.
+ROS = ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces']
+
+setup(
+    name=NAME,
+    description='Window-by-window selection of the factor graph that makes the best local map',
+    author='The incremental_mapper authors',
+    license='Apache-2.0',
+    license_files=['LICENSE'],
+    python_requires='>=3.11',
+    packages=find_packages(exclude=['test', 'test.*']),
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
+        (f'share/{NAME}', ['package.xml']),
+        (f'share/{NAME}/config', SETTINGS),
+    ],
+    install_requires=[
+        'gtsam>=4.3',
+        'kiss-icp>=1.3',
+        'numpy>=1.26',
+        'pydantic>=2.6',
+        'pymap3d>=3.1',
+        'pyyaml>=6.0',
+        'rosbags>=0.11',
+        'scipy>=1.11',
+        'small_gicp>=1.0',
+        'tqdm>=4.66',
+    ],
+    extras_require={
+        'ros': ROS,
+        'sim': SIMULATION,
+        'report': PICTURES,
+        'test': TESTS,
+    },
+    entry_points={'console_scripts': [f'{NAME} = {NAME}.cli.main:main']},
+    zip_safe=False,
+)
