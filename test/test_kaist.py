@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from incremental_mapper.datasets.kaist import KaistSource
-from incremental_mapper.datasets.kaist_files import read_scan_folder
 from incremental_mapper.datasets.open import open_source, read_truth
 from incremental_mapper.errors import ConfigError, InputError
 from incremental_mapper.measurements import FixStatus, GnssFix, ImuSample, LidarScan
@@ -271,7 +270,9 @@ def test_anything_else_is_named_with_what_was_expected(tmp_path, make):
 def test_global_pose_skips_broken_lines(tmp_path):
     path = tmp_path / 'global_pose.csv'
     good = f'{START},1,0,0,1,0,1,0,2,0,0,1,3'
-    write_lines(path, [good, f'{START + 1},9,0,0,1,0,1,0,2,0,0,1,3', f'{START + 2},1,0,0,nan', good])
+    write_lines(
+        path, [good, f'{START + 1},9,0,0,1,0,1,0,2,0,0,1,3', f'{START + 2},1,0,0,nan', good]
+    )
     truth = read_truth(path)
     assert len(truth) == 1
     np.testing.assert_array_equal(truth.positions, [[1, 2, 3]])
@@ -298,4 +299,3 @@ def test_real_scans():
     assert source.drops == {} and all(len(s.points) > 14_000 for s in scans)
     assert source.info.settings['lidars']['names'] == ['left']
     assert 'no calibration' in source.info.notes[0]
-    assert not read_scan_folder(path).calibrated

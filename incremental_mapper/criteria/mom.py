@@ -8,6 +8,7 @@ its poses alone. ``direct_score`` searches the neighbourhoods again instead.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,10 +76,7 @@ def choose_judges(scene: Scene, settings: MomSettings) -> Judges:
     seeds = fresh[spread_positions(len(fresh), 2 * settings.max_points)]
     if len(seeds) == 0 or len(everything) == 0:
         return _no_judges(len(clouds))
-    pairs = _neighbours(everything, everything[seeds], settings.radius)
-    moments = np.stack(
-        [_moments(pairs, everything, owner == scan) for scan in range(len(sizes))]
-    )
+    moments = _moments(everything, everything[seeds], settings.radius, owner, len(sizes))
     counts = moments[:, :, 3, 3]
     shared = (counts > 0).sum(axis=0) > 1  # one scan alone has the same planes at any pose
     total = counts.sum(axis=0)
@@ -101,12 +99,8 @@ def choose_judges(scene: Scene, settings: MomSettings) -> Judges:
             for scan, inverse in enumerate(back)
         ]
     )
-    own_points = np.stack(
-        [
-            transform_points(back[scan], everything[seeds[i]][None, :])[0]
-            for i, scan in zip(chosen, owners, strict=True)
-        ]
-    ) if len(chosen) else np.zeros((0, 3))
+    homogeneous = np.append(everything[seeds[chosen]], np.ones((len(chosen), 1)), axis=1)
+    own_points = np.einsum('pij,pj->pi', np.array(back)[owners], homogeneous)[:, :3]
     return Judges(
         points=own_points,
         scan=owners,
@@ -143,8 +137,8 @@ def direct_score(
     everything = np.vstack([scene.fixed - scene.origin, *clouds])
     homogeneous = np.append(judges.points, np.ones((len(judges.points), 1)), axis=1)
     queries = np.einsum('pij,pj->pi', relative[judges.scan], homogeneous)[:, :3]
-    pairs = _neighbours(everything, queries, settings.radius)
-    moments = _moments(pairs, everything, np.ones(len(everything), dtype=np.bool_))
+    nobody = np.zeros(len(everything), dtype=np.int64)
+    moments = _moments(everything, queries, settings.radius, nobody, 1)[0]
     return _mean_over_families(judges, smallest_eigenvalues(covariances(moments)))
 
 
@@ -154,28 +148,30 @@ def _relative(poses: NDArray[np.float64], origin: NDArray[np.float64]) -> NDArra
     return moved
 
 
-def _neighbours(
-    points: NDArray[np.float64], queries: NDArray[np.float64], radius: float
-) -> csr_array:
-    """Sparse (Q, N) matrix with a one where a point lies within ``radius`` of a query."""
+def _moments(
+    points: NDArray[np.float64],
+    queries: NDArray[np.float64],
+    radius: float,
+    owner: NDArray[np.int64],
+    owners: int,
+) -> NDArray[np.float64]:
+    """Homogeneous moments (owners, Q, 4, 4) of each owner's points within ``radius`` of queries."""
     lists = KDTree(points).query_ball_point(queries, radius, return_sorted=False)
     lengths = np.fromiter((len(found) for found in lists), dtype=np.int64, count=len(lists))
-    columns = np.concatenate([np.asarray(found, dtype=np.int64) for found in lists])
-    rows = np.concatenate(([0], np.cumsum(lengths)))
-    return csr_array(
-        (np.ones(len(columns)), columns, rows), shape=(len(queries), len(points))
+    columns = np.fromiter(
+        chain.from_iterable(lists), dtype=np.int64, count=int(lengths.sum())
     )
-
-
-def _moments(
-    pairs: csr_array, points: NDArray[np.float64], mask: NDArray[np.bool_]
-) -> NDArray[np.float64]:
-    """Homogeneous moments (Q, 4, 4) of the masked points in each neighbourhood."""
+    rows = owner[columns] * len(queries) + np.repeat(np.arange(len(queries)), lengths)
+    pairs = csr_array(
+        (np.ones(len(columns)), (rows, columns)), shape=(owners * len(queries), len(points))
+    )
     tilde = np.append(points, np.ones((len(points), 1)), axis=1)
-    outer = (tilde[:, :, None] * tilde[:, None, :]).reshape(-1, 16)
-    outer[~mask] = 0.0
-    sums: NDArray[np.float64] = np.asarray(pairs @ outer)
-    return sums.reshape(-1, 4, 4)
+    upper = np.triu_indices(4)
+    sums = np.asarray(pairs @ (tilde[:, upper[0]] * tilde[:, upper[1]]))
+    moments = np.empty((owners, len(queries), 4, 4))
+    moments[:, :, upper[0], upper[1]] = sums.reshape(owners, len(queries), -1)
+    moments[:, :, upper[1], upper[0]] = moments[:, :, upper[0], upper[1]]
+    return moments
 
 
 def _count_families(

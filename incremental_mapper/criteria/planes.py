@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-MAX_AXES = 300
+MAX_AXES = 100
 """Normals that are tried as an axis; more do not change which direction wins."""
 
 

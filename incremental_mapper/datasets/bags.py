@@ -84,8 +84,8 @@ class BagSource:
     def measurements(self) -> Iterator[Measurement]:
         """All usable measurements in the order in which the bag logged them.
 
-        Where the bag is damaged further on, the rest is counted as ``damaged``; InputError where
-        not one message can be read.
+        Messages that the bag announces but lost to damage are counted as ``damaged``; InputError
+        where not one can be read.
         """
         self._drops = Counter()
         converters = self._converters()
@@ -137,7 +137,10 @@ class BagSource:
             reader.close()
 
     def _raw(self, reader: AnyReader, left: Counter[str]) -> Iterator[tuple[str, str, bytes]]:
-        """(sensor, type, data) of the sensors' messages, up to the first damage."""
+        """(sensor, type, data) of the sensors' messages; counts those that the bag lost.
+
+        ``left`` is how many messages of each sensor are still to come.
+        """
         sensors = {topic.name: sensor for sensor, topic in self._choice.topics.items()}
         connections = [c for c in reader.connections if c.topic in sensors]
         messages = reader.messages(connections=connections)
@@ -145,14 +148,15 @@ class BagSource:
             try:
                 connection, _, data = next(messages)
             except StopIteration:
-                return
+                break
+            # On a damaged chunk the reader raises whatever it stumbles over, or skips it.
             except Exception as error:
                 if left == Counter(self._info.counts):
                     reason = ' '.join(str(error).split()) or type(error).__name__
                     raise InputError(f'{self._path}: no message can be read ({reason})') from error
-                self._drops.update({(name, 'damaged'): n for name, n in left.items() if n > 0})
-                return
+                break
             yield sensors[connection.topic], connection.msgtype, data
+        self._drops.update({(name, 'damaged'): n for name, n in left.items() if n > 0})
 
     def _converters(self) -> dict[str, Converter]:
         makers: dict[str, Maker] = {'imu': imu_from_message, 'gnss': fix_from_message}

@@ -85,7 +85,6 @@ class Recording:
     path: Path
     streams: dict[str, Stream]
     extrinsics: dict[str, Vector]
-    calibrated: bool
     drops: Drops = field(default_factory=Counter)
     notes: tuple[str, ...] = ()
 
@@ -181,7 +180,7 @@ def read_recording(path: Path) -> Recording:
     extrinsics = {
         name: read_extrinsic(path / 'calibration' / f'{calibrations[name]}.txt') for name in streams
     }
-    return Recording(path, streams, extrinsics, True, drops, tuple(notes))
+    return Recording(path, streams, extrinsics, drops, tuple(notes))
 
 
 def read_scan_folder(path: Path) -> Recording:
@@ -191,7 +190,7 @@ def read_scan_folder(path: Path) -> Recording:
     if len(scans.stamps) == 0:
         raise InputError(f'{path}: holds no <stamp in ns>.bin file')
     note = 'no calibration: the LiDAR is taken to sit in base_link, unturned'
-    return Recording(path, {'left': scans}, {'left': np.eye(4)}, False, drops, (note,))
+    return Recording(path, {'left': scans}, {'left': np.eye(4)}, drops, (note,))
 
 
 def read_table(

@@ -9,7 +9,13 @@ from dataclasses import dataclass
 import gtsam
 
 from incremental_mapper.graph.factors import bias_key, pose_key, velocity_key
-from incremental_mapper.graph.solver import make_graph, marginal_factors, optimize
+from incremental_mapper.graph.solver import (
+    Elimination,
+    copy_value,
+    eliminate,
+    make_graph,
+    optimize,
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,7 +77,7 @@ def shorten(lag: Lag, oldest: int, keep: Collection[int]) -> tuple[Lag, gtsam.Va
     dropped_set = set(dropped)
     touched = [f for f in lag.factors if not dropped_set.isdisjoint(f.keys())]
     untouched = [f for f in lag.factors if dropped_set.isdisjoint(f.keys())]
-    rest = marginal_factors(make_graph(touched), lag.values, dropped)
+    rest = eliminate(make_graph(touched), lag.values, dropped).factors
     values = gtsam.Values(lag.values)
     for key in dropped:
         copy_value(lag.values, key, gone)
@@ -87,21 +93,11 @@ def shorten(lag: Lag, oldest: int, keep: Collection[int]) -> tuple[Lag, gtsam.Va
     )
 
 
-def frontier_prior(lag: Lag, keys: Sequence[int]) -> list[gtsam.LinearContainerFactor]:
-    """Marginal of G(t-1) on the frontier's variables, for the candidates' local graphs."""
+def split_at(lag: Lag, keys: Sequence[int]) -> Elimination | None:
+    """The lag as p(rest | frontier) · p(frontier), for the frontier's ``keys``; None if empty."""
     if lag.values is None:
-        return []
+        return None
     kept = set(keys)
     dropped = [key for key in lag.values.keys() if key not in kept]  # noqa: SIM118 (no mapping)
-    return marginal_factors(make_graph(lag.factors), lag.values, dropped)
-
-
-def copy_value(source: gtsam.Values, key: int, target: gtsam.Values) -> None:
-    """Copy one variable between two ``Values``."""
-    kind = chr(gtsam.Symbol(key).chr())
-    if kind == 'x':
-        target.insert(key, source.atPose3(key))
-    elif kind == 'v':
-        target.insert(key, source.atVector(key))
-    else:
-        target.insert(key, source.atConstantBias(key))
+    dropped.sort(key=lambda key: int(gtsam.Symbol(key).index()))
+    return eliminate(make_graph(lag.factors), lag.values, dropped)

@@ -53,24 +53,67 @@ def optimize(
     return Solution(values=values, error=error, iterations=int(optimizer.iterations()))
 
 
-def marginal_factors(
-    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, dropped: Sequence[int]
-) -> list[gtsam.LinearContainerFactor]:
-    """What ``graph`` says about the other variables once ``dropped`` are eliminated.
+@dataclass(frozen=True, slots=True, eq=False)
+class Elimination:
+    """A graph split into p(dropped | kept) · p(kept), both linear at ``values``.
 
-    Linear factors at ``values``. Raises RuntimeError where a dropped variable is undetermined.
+    ``conditional`` says how the dropped variables follow the kept ones; ``factors`` are what the
+    graph says about the kept ones alone.
+    """
+
+    values: gtsam.Values
+    conditional: gtsam.GaussianBayesNet
+    factors: tuple[gtsam.LinearContainerFactor, ...]
+
+
+def eliminate(
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, dropped: Sequence[int]
+) -> Elimination:
+    """Eliminate variables in the given order; in time order nothing fills in.
+
+    Raises RuntimeError where a dropped variable is undetermined.
     """
     linear = graph.linearize(values)
-    if not dropped:
-        rest = linear
-    else:
+    conditional, rest = gtsam.GaussianBayesNet(), linear
+    if dropped:
         ordering = gtsam.Ordering()
         for key in dropped:
             ordering.push_back(key)
-        _, rest = linear.eliminatePartialSequential(ordering, gtsam.EliminateQR)
+        conditional, rest = linear.eliminatePartialSequential(ordering, gtsam.EliminateQR)
     factors = (rest.at(i) for i in range(rest.size()))
-    return [
-        gtsam.LinearContainerFactor(factor, values)
-        for factor in factors
-        if factor is not None and factor.size() > 0
-    ]
+    return Elimination(
+        values=values,
+        conditional=conditional,
+        factors=tuple(
+            gtsam.LinearContainerFactor(factor, values)
+            for factor in factors
+            if factor is not None and factor.size() > 0
+        ),
+    )
+
+
+def follow(elimination: Elimination, solved: gtsam.Values) -> gtsam.VectorValues:
+    """Tangent steps of the dropped variables once the kept ones have moved to ``solved``.
+
+    The kept variables are those of the elimination's factors; the steps are relative to
+    ``elimination.values``.
+    """
+    steps = gtsam.VectorValues()
+    for key in {key for factor in elimination.factors for key in factor.keys()}:
+        before, after = gtsam.Values(), gtsam.Values()
+        copy_value(elimination.values, key, before)
+        copy_value(solved, key, after)
+        steps.insert(key, before.localCoordinates(after).at(key))
+    return elimination.conditional.optimize(steps)
+
+
+def copy_value(source: gtsam.Values, key: int, target: gtsam.Values, name: int | None = None) -> None:
+    """Copy one variable between two ``Values``, under another key if ``name`` is given."""
+    kind = chr(gtsam.Symbol(key).chr())
+    new = key if name is None else name
+    if kind == 'x':
+        target.insert(new, source.atPose3(key))
+    elif kind == 'v':
+        target.insert(new, source.atVector(key))
+    else:
+        target.insert(new, source.atConstantBias(key))

@@ -11,11 +11,11 @@ from incremental_mapper.graph.factors import (
     Factor,
     FactorKind,
     bias_key,
-    key_name,
     pose_key,
     velocity_key,
 )
 from incremental_mapper.graph.smoother import extend, shorten
+from incremental_mapper.graph.solver import copy_value
 from incremental_mapper.mapper.front_end import PreparedFix, PreparedScan
 from incremental_mapper.mapper.local_graph import WindowFactors, WindowInputs
 from incremental_mapper.mapper.state import (
@@ -56,7 +56,7 @@ def append_candidate(
     made = [_renamed(factor, final) for factor in [*factors.factors(candidate), *extra]]
     values = gtsam.Values()
     for key in initial.keys():  # noqa: SIM118 (no mapping)
-        _copy_renamed(initial, key, final.get(key, key), values)
+        copy_value(initial, key, values, final.get(key, key))
     state.lag = extend(
         state.lag,
         [factor.factor for factor in made],
@@ -92,16 +92,6 @@ def _renamed(factor: Factor, final: dict[int, int]) -> Factor:
         stamps=factor.stamps,
         data=factor.data,
     )
-
-
-def _copy_renamed(source: gtsam.Values, key: int, name: int, target: gtsam.Values) -> None:
-    kind = key_name(key)[0]
-    if kind == 'x':
-        target.insert(name, source.atPose3(key))
-    elif kind == 'v':
-        target.insert(name, source.atVector(key))
-    else:
-        target.insert(name, source.atConstantBias(key))
 
 
 def _remember_measurements(

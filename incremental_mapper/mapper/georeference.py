@@ -18,8 +18,8 @@ from incremental_mapper.graph.factors import (
     gnss_factor,
     pose_prior,
 )
-from incremental_mapper.graph.smoother import Lag, copy_value, shorten
-from incremental_mapper.graph.solver import make_graph, optimize
+from incremental_mapper.graph.smoother import Lag, shorten
+from incremental_mapper.graph.solver import copy_value, make_graph, optimize
 from incremental_mapper.mapper.front_end import Prepared, PreparedFix
 from incremental_mapper.mapper.state import GraphState
 

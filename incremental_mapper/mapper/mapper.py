@@ -16,8 +16,13 @@ from incremental_mapper.config import Config
 from incremental_mapper.criteria.criterion import strategy_plan
 from incremental_mapper.frontend.inertial import EMPTY_SERIES, preintegration_parameters
 from incremental_mapper.graph.factors import Factor
-from incremental_mapper.graph.smoother import copy_value, frontier_prior
-from incremental_mapper.graph.solver import make_graph, optimize, squared_error
+from incremental_mapper.graph.smoother import cluster_keys, split_at
+from incremental_mapper.graph.solver import (
+    copy_value,
+    make_graph,
+    optimize,
+    squared_error,
+)
 from incremental_mapper.mapper.appending import append_candidate
 from incremental_mapper.mapper.front_end import FrontEnd, Prepared
 from incremental_mapper.mapper.georeference import georeference
@@ -25,7 +30,7 @@ from incremental_mapper.mapper.inputs import window_inputs
 from incremental_mapper.mapper.local_graph import WindowFactors, WindowInputs
 from incremental_mapper.mapper.result import MapResult, WindowResult
 from incremental_mapper.mapper.scenes import SceneBuilder
-from incremental_mapper.mapper.selection import Choice, Prior, Task, choose
+from incremental_mapper.mapper.selection import Choice, Task, choose
 from incremental_mapper.mapper.state import BaseCount, GraphState, PlacedCluster
 from incremental_mapper.mapper.statistics import Totals, run_stats, window_row
 from incremental_mapper.measurements import ImuSample, Measurement
@@ -166,14 +171,15 @@ class Mapper:
         scenes = SceneBuilder(
             items, inputs, factors, self._state, self.config.mom.submap_scans
         )
-        frontier = self._state.frontier
+        frontier, keys = self._state.frontier, self._frontier_keys()
         task = Task(
             parts=parts,
             head=None if frontier.head is None else frontier.head_stamp,
             imu=ImuStamps(self._series.stamps, self._imu_gap),
             factors=factors,
             scenes=scenes,
-            prior=self._frontier_prior,
+            prior=lambda: split_at(self._state.lag, keys),
+            frontier_keys=keys,
             max_iterations=self.config.graph.max_iterations,
         )
         seconds['candidates'] = time.perf_counter() - started
@@ -191,20 +197,13 @@ class Mapper:
         seconds['append'] = time.perf_counter() - started
         return self._close(bounds, items, choice, placed, made, seconds)
 
-    def _frontier_prior(self) -> Prior:
-        """Marginal of G(t-1) on the frontier, with the values it was taken at."""
-        lag, values = self._state.lag, gtsam.Values()
-        if lag.values is None:
-            return Prior((), values)
-        held = self._state.frontier.clusters()
-        keys = [
-            key
-            for key in lag.values.keys()  # noqa: SIM118 (no mapping)
-            if gtsam.Symbol(key).index() in held
-        ]
-        for key in keys:
-            copy_value(lag.values, key, values)
-        return Prior(tuple(frontier_prior(lag, keys)), values)
+    def _frontier_keys(self) -> tuple[int, ...]:
+        """Keys of the variables that candidates may touch."""
+        values = self._state.lag.values
+        if values is None:
+            return ()
+        held = sorted(self._state.frontier.clusters())
+        return tuple(key for cluster in held for key in cluster_keys(cluster, values))
 
     def _bridged(
         self, choice: Choice, task: Task, inputs: WindowInputs

@@ -19,8 +19,8 @@ from incremental_mapper.mapper.state import GraphState, PlacedScan
 class SceneBuilder:
     """Places a window's scans among the recent ones of G(t-1).
 
-    Scans of frontier clusters move with the candidates, since a local solve moves their poses
-    too; the other recent scans stay where G(t-1) has them.
+    Recent scans inside the lag move with the candidates: what a candidate says of the frontier
+    also corrects the poses before it. Scans beyond the lag stay where they are.
     """
 
     def __init__(
@@ -31,38 +31,41 @@ class SceneBuilder:
         state: GraphState,
         recent: int,
     ) -> None:
-        held = state.frontier.clusters()
         last = state.scans[-recent:]
         self._state = state
         self._inputs = inputs
         self._factors = factors
         self._new = [item for item in items if isinstance(item, PreparedScan)]
-        self._touched = [scan for scan in last if scan.cluster in held]
-        self._settled = [scan for scan in last if scan.cluster not in held]
+        self._touched = [scan for scan in last if state.in_lag(scan.cluster)]
+        self._settled = [scan for scan in last if not state.in_lag(scan.cluster)]
 
     def scene(self) -> Scene:
         """The scene at the predicted poses."""
         states = self._inputs.states
         voxel = self._inputs.config.mom.voxel_size
         settled = [
-            transform_points(self._pose(scan), thin(scan.points.astype(np.float64), voxel))
+            transform_points(self._pose(scan).matrix(), scan.points.astype(np.float64))
             for scan in self._settled
         ]
         moving = [item.thinned for item in self._new]
         moving += [scan.points.astype(np.float64) for scan in self._touched]
         predicted = [states[item.core.stamp].pose.matrix() for item in self._new]
-        predicted += [self._pose(scan) for scan in self._touched]
-        last = max(states)
+        predicted += [self._pose(scan).matrix() for scan in self._touched]
         return Scene(
-            fixed=np.vstack([np.zeros((0, 3)), *settled]),
+            fixed=thin(np.vstack([np.zeros((0, 3)), *settled]), voxel),
             moving=[thin(points, voxel) for points in moving],
             predicted=np.array(predicted).reshape(-1, 4, 4),
             fresh=len(self._new),
-            origin=states[last].pose.translation(),
+            origin=states[max(states)].pose.translation(),
         )
 
-    def poses(self, candidate: Candidate, values: gtsam.Values) -> NDArray[np.float64]:
-        """Poses T_map_base (S, 4, 4) of the scene's moving scans under solved values."""
+    def poses(
+        self, candidate: Candidate, values: gtsam.Values, steps: gtsam.VectorValues | None
+    ) -> NDArray[np.float64]:
+        """Poses T_map_base (S, 4, 4) of the scene's moving scans under a candidate.
+
+        ``values`` are the solved variables, ``steps`` the tangent steps of the lag's others.
+        """
         owner = {core: cluster for cluster in candidate.clusters for core in cluster.members}
         poses = []
         for item in self._new:
@@ -71,11 +74,14 @@ class SceneBuilder:
             offset = self._factors.offset(cluster, item.core.stamp)
             poses.append(pose.compose(offset).matrix())
         for scan in self._touched:
-            pose = values.atPose3(pose_key(scan.cluster))
+            key = pose_key(scan.cluster)
+            if values.exists(key):
+                pose = values.atPose3(key)
+            else:
+                pose = self._state.pose(scan.cluster)
+                pose = pose if steps is None else pose.retract(steps.at(key))
             poses.append(pose.compose(scan.T_cluster_scan).matrix())
         return np.array(poses).reshape(-1, 4, 4)
 
-    def _pose(self, scan: PlacedScan) -> NDArray[np.float64]:
-        pose = self._state.pose(scan.cluster).compose(scan.T_cluster_scan)
-        matrix: NDArray[np.float64] = pose.matrix()
-        return matrix
+    def _pose(self, scan: PlacedScan) -> gtsam.Pose3:
+        return self._state.pose(scan.cluster).compose(scan.T_cluster_scan)

@@ -20,8 +20,14 @@ from incremental_mapper.criteria.criterion import (
     StrategyPlan,
 )
 from incremental_mapper.criteria.mom import direct_score, fast_score
-from incremental_mapper.graph.smoother import copy_value
-from incremental_mapper.graph.solver import make_graph, optimize, squared_error
+from incremental_mapper.graph.solver import (
+    Elimination,
+    copy_value,
+    follow,
+    make_graph,
+    optimize,
+    squared_error,
+)
 from incremental_mapper.mapper.local_graph import WindowFactors
 from incremental_mapper.mapper.scenes import SceneBuilder
 
@@ -60,19 +66,11 @@ class Choice:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Prior:
-    """Linear factors on the frontier's variables, and the values they were taken at."""
-
-    factors: tuple[gtsam.NonlinearFactor, ...]
-    values: gtsam.Values
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Task:
     """What is needed to choose: the elements, their factors, and what they are judged on.
 
-    ``prior`` gives the marginal of G(t-1) on the frontier; it is asked for only where something
-    is solved. ``head`` is the stamp of the cluster to connect from.
+    ``prior`` splits G(t-1) at the frontier, None before there is one; it is asked for only
+    where something is solved. ``head`` is the stamp of the cluster to connect from.
     """
 
     parts: tuple[Element, ...]
@@ -80,7 +78,8 @@ class Task:
     imu: ImuStamps
     factors: WindowFactors
     scenes: SceneBuilder
-    prior: Callable[[], Prior]
+    prior: Callable[[], Elimination | None]
+    frontier_keys: tuple[int, ...]
     max_iterations: int
 
 
@@ -164,13 +163,19 @@ def _propose(
     for candidate in connected:
         own = [factor.factor for factor in task.factors.factors(candidate)]
         fresh = task.factors.initial(candidate)
-        initial = gtsam.Values(prior.values)
-        initial.insert(fresh)
-        solution = optimize(make_graph([*prior.factors, *own]), initial, task.max_iterations)
+        initial = gtsam.Values(fresh)
+        if prior is not None:
+            for key in task.frontier_keys:
+                copy_value(prior.values, key, initial)
+        rest = () if prior is None else prior.factors
+        solution = optimize(make_graph([*rest, *own]), initial, task.max_iterations)
         if solution is None:
             continue
         error = squared_error(own, solution.values)
-        poses = task.scenes.poses(candidate, solution.values) if wants_poses else None
+        poses = None
+        if wants_poses:
+            steps = None if prior is None else follow(prior, solution.values)
+            poses = task.scenes.poses(candidate, solution.values, steps)
         clock.lap('solve')
         yield Proposal(candidate, error, poses), _restrict(solution.values, fresh)
 

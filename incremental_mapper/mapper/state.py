@@ -17,7 +17,8 @@ from incremental_mapper.graph.factors import (
     pose_key,
     velocity_key,
 )
-from incremental_mapper.graph.smoother import Lag, copy_value
+from incremental_mapper.graph.smoother import Lag
+from incremental_mapper.graph.solver import copy_value
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +113,10 @@ class GraphState:
     def bias(self, cluster: int) -> gtsam.imuBias.ConstantBias:
         """Newest estimate of a cluster's IMU bias."""
         return self.holder(bias_key(cluster)).atConstantBias(bias_key(cluster))
+
+    def in_lag(self, cluster: int) -> bool:
+        """Whether a cluster's pose still changes."""
+        return self.lag.clusters is not None and cluster in self.lag.clusters
 
     def has_inertial(self, cluster: int) -> bool:
         """Whether a cluster has velocity and bias."""

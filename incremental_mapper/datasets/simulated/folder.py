@@ -33,7 +33,7 @@ from incremental_mapper.errors import OutputError
 from incremental_mapper.trajectory import NANOSECONDS
 
 Array = NDArray[np.float64]
-Progress = Callable[[int], None]
+Progress = Callable[[int], object]
 
 CHUNK = 1000
 MARK = 'simulation.json'
@@ -68,7 +68,7 @@ def simulate(out_dir: Path, options: SimulationOptions, progress: Progress | Non
         _write_scans(out_dir / 'sensor_data', scene, drive, options, core, progress)
     except OSError as error:
         raise OutputError(
-            f'{error.filename or out_dir}: cannot be written ({error.strerror}); '
+            f'{error.filename or out_dir}: cannot be written ({error.strerror or error}); '
             'choose a folder that is writable and has space'
         ) from error
 

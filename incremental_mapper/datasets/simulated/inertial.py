@@ -41,12 +41,11 @@ FIELD_NOISE = 0.01
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InertialSamples:
-    """Samples at ``times`` (N,) seconds: all arrays are (N, 3) in the IMU's frame.
+    """Consecutive samples: all arrays are (N, 3) in the IMU's frame.
 
     ``gyro`` is in rad/s, ``force`` in m/s^2 (+9.81 upwards at rest); ``attitude`` is T_enu_imu.
     """
 
-    times: Array
     attitude: Rotation
     gyro: Array
     force: Array
@@ -60,7 +59,7 @@ def true_samples(drive: Drive, times: Array) -> InertialSamples:
     gyro = (before[1].inv() * after[1]).as_rotvec() / (2.0 * H)
     force = now[1].inv().apply(acceleration + [0.0, 0.0, GRAVITY])
     field = now[1].inv().apply(np.tile(FIELD, (len(times), 1)))
-    return InertialSamples(times, now[1], gyro, force, field)
+    return InertialSamples(now[1], gyro, force, field)
 
 
 def measured_samples(
@@ -83,7 +82,6 @@ def measured_samples(
         gyro_bias, force_bias = gyro_drift[-1], force_drift[-1]
         wobble = rng.normal(scale=TILT_ERROR / 4.0, size=shape)
         yield InertialSamples(
-            times=chunk,
             attitude=Rotation.from_rotvec(tilt + wobble) * truth.attitude,
             gyro=truth.gyro + gyro_drift + rng.normal(scale=GYRO_NOISE * np.sqrt(RATE), size=shape),
             force=truth.force

@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 SPIN = 2.0 * np.pi * 10.0
 """Angular speed of the head, rad/s."""
 COLUMNS = 1320
-"""Columns of a sweep, 0.27 degrees apart; in streets that makes the 14 600 points a scan of KAIST."""
+"""Columns of a sweep, 0.27 degrees apart; so a scan has the 14 600 points of a KAIST one."""
 COLUMN = 0.1 / COLUMNS
 """Seconds between two columns."""
 ELEVATIONS = np.radians([-15, 1, -13, 3, -11, 5, -9, 7, -7, 9, -5, 11, -3, 13, -1, 15])

@@ -117,7 +117,7 @@ def _block(corner: Array, size: Array, terrain: Terrain, rng: np.random.Generato
 def _curve(rng: np.random.Generator) -> tuple[Route, Terrain, list[Mesh]]:
     """A winding road; kerbs and house fronts follow it."""
     terrain = make_terrain(0.004, (15.0, 60.0), rng)
-    route = winding_route(12.0, bend(np.radians(130.0), 28.0), bend(np.radians(-40.0), 30.0), 4)
+    route = winding_route(26.0, bend(np.radians(130.0), 28.0), bend(np.radians(-40.0), 30.0), 4)
     arcs = np.arange(0.0, route.length, 1.0)
     path = route.position(arcs)
     meshes = [ground(path.min(0) - MARGIN, path.max(0) + MARGIN, 2.0, terrain.height, ASPHALT)]

@@ -22,6 +22,8 @@ HURRY = 1.5
 """Mean acceleration that a short acceleration or deceleration drive may have, m/s^2."""
 LATERAL = 2.3
 """Largest lateral acceleration in a bend of mixed traffic, m/s^2."""
+NOTICEABLE = 1.0
+"""Nobody changes the speed by less, in m/s; so short a ramp would rock the car."""
 LEAD = 18.0
 """Distance from the start of a mixed drive to the first bend, metres."""
 HEADWAY = 5.0
@@ -127,7 +129,7 @@ def _traffic(route: Route, first: float, rng: np.random.Generator) -> Iterator[R
                 length = straights[number].length
             limit = min(CRUISE * 1.2, math.sqrt(LATERAL / piece.curvature))
             halt = rng.random() < 0.4 and (lap, number) != (0, 0)
-            cruise = max(rng.uniform(6.0, 8.3), limit)
+            cruise = max(rng.uniform(6.1, 8.3), limit)
             for ramp in _straight(length, speed, cruise, 0.0 if halt else limit):
                 yield ramp
                 speed = ramp.end
@@ -140,8 +142,11 @@ def _traffic(route: Route, first: float, rng: np.random.Generator) -> Iterator[R
 
 def _straight(length: float, start: float, cruise: float, end: float) -> list[Ramp]:
     """Ramps that cover ``length`` metres between two speeds, with ``cruise`` m/s where it fits."""
+    top = max(start, end)
     peak = min(cruise, math.sqrt(RATE * length + (start**2 + end**2) / 2.0))
-    if peak < max(start, end):
+    if top < peak < top + NOTICEABLE:
+        peak = top
+    if peak < top:
         # Too short for the usual rate: one ramp over all of it.
         return [Ramp(2.0 * length / (start + end), start, end)]
     ramps = [_change(start, peak), _change(peak, end)]

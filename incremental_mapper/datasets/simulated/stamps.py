@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from incremental_mapper.datasets.simulated.options import SimulationOptions
+from incremental_mapper.datasets.simulated.options import MAX_DURATION, SimulationOptions
 from incremental_mapper.errors import InputError
 from incremental_mapper.trajectory import NANOSECONDS
 
@@ -27,8 +27,9 @@ TRUTH_PERIOD = 10_000_000
 BEFORE = 200_000_000
 """The IMU starts so many nanoseconds before the first core measurement."""
 AFTER = 100_000_000
-MIN_STAMP, MAX_STAMP = 10**17, 2**62
-"""From 1973 on, so that seconds or milliseconds are not taken for nanoseconds."""
+MIN_STAMP, MAX_STAMP = 10**17, 2**31 * NANOSECONDS
+"""From 1973 on, so that seconds or milliseconds are not taken for nanoseconds,
+to the last second that a ROS stamp can hold."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,7 +108,12 @@ def read_timing(path: Path) -> CoreStamps:
             raise InputError(
                 f'{path}: {sensor} has the stamp {arrays[sensor][repeated[0]]} twice; remove one'
             )
-    return CoreStamps(arrays['left'], arrays['right'], arrays['gps'])
+    core = CoreStamps(arrays['left'], arrays['right'], arrays['gps'])
+    if core.duration > MAX_DURATION:
+        raise InputError(
+            f'{path}: the stamps span {core.duration:.0f} s; the most is {MAX_DURATION:g} s'
+        )
+    return core
 
 
 def _collect(path: Path, lines: Iterable[str], stamps: dict[str, list[int]]) -> None:
