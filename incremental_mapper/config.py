@@ -88,7 +88,7 @@ class OdometrySettings(Section):
     """Points nearer to the sensor than this many metres (the car itself) are left out."""
     max_range: float = Field(default=80.0, gt=0.0, le=1000.0)
     """Points further than this many metres are left out."""
-    voxel_size: float = Field(default=0.3, gt=0.0, le=10.0)
+    voxel_size: float = Field(default=0.7, gt=0.0, le=10.0)
     """Down-sampling before gicp; voxel size of the local map for kiss_icp. Metres."""
     max_correspondence: float = Field(default=2.0, gt=0.0, le=50.0)
     """Largest distance of a gicp correspondence in metres."""
@@ -100,9 +100,9 @@ class OdometrySettings(Section):
     """Scans of one LiDAR that are further apart in seconds are not matched."""
     deskew: bool = True
     """Undo the motion within a sweep where the cloud has per-point time."""
-    sigma_translation: Sigma = 0.05
+    sigma_translation: Sigma = 0.03
     """Standard deviation of a match in metres, each axis."""
-    sigma_rotation: Sigma = 0.005
+    sigma_rotation: Sigma = 0.003
     """Standard deviation of a match in radians, each axis."""
 
 
