@@ -45,9 +45,7 @@ def chains(count: int, has_head: bool) -> Iterator[tuple[int, ...]]:
             yield (first, *inner, count - 1)
 
 
-def candidates(
-    parts: Sequence[Element], head: int | None, imu: ImuStamps
-) -> Iterator[Candidate]:
+def candidates(parts: Sequence[Element], head: int | None, imu: ImuStamps) -> Iterator[Candidate]:
     """Every distinct candidate of a window.
 
     ``head`` is the stamp of the cluster of G(t-1) to connect from, or None. There are at most

@@ -9,6 +9,7 @@ import heapq
 from collections.abc import Iterator, Sequence
 from functools import cache
 from itertools import count
+from typing import TypeAlias
 
 from incremental_mapper.candidates.clusters import HEAD, Candidate, Cluster
 from incremental_mapper.candidates.enumeration import connect
@@ -16,10 +17,14 @@ from incremental_mapper.candidates.partitions import Element, make_cluster
 from incremental_mapper.candidates.spans import ImuStamps
 
 
+_Entry: TypeAlias = tuple[int, int, int, int, int | None, tuple[Cluster, ...], tuple[int, ...]]
+"""Bound, -position, tie-breaker, position, stamp of the last node, clusters, nodes."""
+
+
 def by_time_shift(
     parts: Sequence[Element], head: int | None, imu: ImuStamps
 ) -> Iterator[Candidate]:
-    """Distinct candidates of a window in ascending order of total time shift; ties in time order."""
+    """Distinct candidates of a window in ascending order of total time shift."""
     length = len(parts)
     if length == 0:
         return
@@ -57,9 +62,8 @@ def by_time_shift(
 
     order = count()
     seen: set[tuple[tuple[tuple[int, int], ...], tuple[tuple[int, int], ...]]] = set()
-    Entry = tuple[int, int, int, int, int | None, tuple[Cluster, ...], tuple[int, ...]]
     start_nodes = () if head is None else (HEAD,)
-    heap: list[Entry] = [(cheapest(0, head), 0, next(order), 0, head, (), start_nodes)]
+    heap: list[_Entry] = [(cheapest(0, head), 0, next(order), 0, head, (), start_nodes)]
     while heap:
         bound, _, _, position, node, clusters, nodes = heapq.heappop(heap)
         if position == length:

@@ -94,10 +94,7 @@ def choose_judges(scene: Scene, settings: MomSettings) -> Judges:
     owners = owner[seeds[chosen]] - 1
     back = [np.linalg.inv(pose) for pose in relative]
     own = np.stack(
-        [
-            inverse @ moments[scan + 1][chosen] @ inverse.T
-            for scan, inverse in enumerate(back)
-        ]
+        [inverse @ moments[scan + 1][chosen] @ inverse.T for scan, inverse in enumerate(back)]
     )
     homogeneous = np.append(everything[seeds[chosen]], np.ones((len(chosen), 1)), axis=1)
     own_points = np.einsum('pij,pj->pi', np.array(back)[owners], homogeneous)[:, :3]
@@ -156,11 +153,11 @@ def _moments(
     owners: int,
 ) -> NDArray[np.float64]:
     """Homogeneous moments (owners, Q, 4, 4) of each owner's points within ``radius`` of queries."""
-    lists = KDTree(points).query_ball_point(queries, radius, return_sorted=False)
+    # An unbalanced tree is built in half the time and is asked only once.
+    tree = KDTree(points, leafsize=24, balanced_tree=False, compact_nodes=False)
+    lists = tree.query_ball_point(queries, radius, return_sorted=False)
     lengths = np.fromiter((len(found) for found in lists), dtype=np.int64, count=len(lists))
-    columns = np.fromiter(
-        chain.from_iterable(lists), dtype=np.int64, count=int(lengths.sum())
-    )
+    columns = np.fromiter(chain.from_iterable(lists), dtype=np.int64, count=int(lengths.sum()))
     rows = owner[columns] * len(queries) + np.repeat(np.arange(len(queries)), lengths)
     pairs = csr_array(
         (np.ones(len(columns)), (rows, columns)), shape=(owners * len(queries), len(points))
@@ -178,9 +175,7 @@ def _count_families(
     labels: NDArray[np.int64], settings: MomSettings
 ) -> tuple[NDArray[np.int64], tuple[int, ...], str]:
     counted = tuple(
-        family
-        for family in range(3)
-        if int((labels == family).sum()) >= settings.min_family_points
+        family for family in range(3) if int((labels == family).sum()) >= settings.min_family_points
     )
     if counted:
         return labels, counted, f'mom_{len(counted)}'

@@ -42,7 +42,10 @@ def summary(stats: Mapping[str, Any]) -> str:
             f'{stats["candidates_connected"]} connected, {stats["candidates_solved"]} solved '
             f'in {stats["windows"]} windows',
         ),
-        ('score', ', '.join(f'{name} {count}x' for name, count in stats['selection.score'].items())),
+        (
+            'score',
+            ', '.join(f'{name} {count}x' for name, count in stats['selection.score'].items()),
+        ),
         (
             'time',
             f'{stats["wall_s"]:.1f} s for {stats["drive_s"]:.1f} s of driving, '

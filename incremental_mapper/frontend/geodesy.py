@@ -54,9 +54,7 @@ def checked_covariance(fix: GnssFix, settings: GnssSettings) -> NDArray[np.float
     covariance = (fix.covariance + fix.covariance.T) / 2.0
     # A floor on every axis, and on every direction between them.
     values, vectors = np.linalg.eigh(covariance)
-    floored: NDArray[np.float64] = (
-        vectors * np.maximum(values, settings.min_sigma**2)
-    ) @ vectors.T
+    floored: NDArray[np.float64] = (vectors * np.maximum(values, settings.min_sigma**2)) @ vectors.T
     return floored
 
 

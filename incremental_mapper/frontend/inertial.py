@@ -27,9 +27,7 @@ class ImuSeries:
 
     def part(self, low: int, high: int) -> 'ImuSeries':
         """The samples at positions [low, high)."""
-        return ImuSeries(
-            self.stamps[low:high], self.gyro[low:high], self.acceleration[low:high]
-        )
+        return ImuSeries(self.stamps[low:high], self.gyro[low:high], self.acceleration[low:high])
 
     def joined(self, samples: Sequence[ImuSample]) -> 'ImuSeries':
         """This series with newer samples behind it."""

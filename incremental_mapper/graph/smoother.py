@@ -67,9 +67,7 @@ def shorten(lag: Lag, oldest: int, keep: Collection[int]) -> tuple[Lag, gtsam.Va
     if lag.values is None or lag.clusters is None:
         return lag, gone
     leaving = [
-        cluster
-        for cluster, stamp in lag.clusters.items()
-        if stamp < oldest and cluster not in keep
+        cluster for cluster, stamp in lag.clusters.items() if stamp < oldest and cluster not in keep
     ]
     if not leaving:
         return lag, gone

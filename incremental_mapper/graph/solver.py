@@ -107,7 +107,9 @@ def follow(elimination: Elimination, solved: gtsam.Values) -> gtsam.VectorValues
     return elimination.conditional.optimize(steps)
 
 
-def copy_value(source: gtsam.Values, key: int, target: gtsam.Values, name: int | None = None) -> None:
+def copy_value(
+    source: gtsam.Values, key: int, target: gtsam.Values, name: int | None = None
+) -> None:
     """Copy one variable between two ``Values``, under another key if ``name`` is given."""
     kind = chr(gtsam.Symbol(key).chr())
     new = key if name is None else name

@@ -111,9 +111,15 @@ def _remember_measurements(
             prepared = inputs.prepared[core]
             offset = factors.offset(item.cluster, core.stamp)
             if isinstance(prepared, PreparedScan):
-                points = prepared.thinned.astype(np.float32)
                 state.scans.append(
-                    PlacedScan(item.id, core.stamp, core.sensor, points, offset)
+                    PlacedScan(
+                        item.id,
+                        core.stamp,
+                        core.sensor,
+                        prepared.thinned.astype(np.float32),
+                        prepared.sparse,
+                        offset,
+                    )
                 )
             elif isinstance(prepared, PreparedFix):
                 arm = offset.transformFrom(inputs.config.gnss.matrix()[:3, 3])
@@ -147,7 +153,8 @@ def _next_frontier(
     # A scan that can no longer be matched to need not stay in the lag.
     max_gap = round(config.odometry.max_gap * NANOSECONDS)
     chains = {
-        name: (id_, stamp) for name, (id_, stamp) in chains.items()
+        name: (id_, stamp)
+        for name, (id_, stamp) in chains.items()
         if newest_stamp - stamp <= max_gap
     }
     state.scan_offsets = {

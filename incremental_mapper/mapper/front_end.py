@@ -26,13 +26,15 @@ MAX_ACCELERATION = 30.0
 class PreparedScan:
     """A scan with its odometry.
 
-    ``thinned`` (N, 3) are its points in base_link for the map and for scoring, metres.
+    ``thinned`` (N, 3) are its points in base_link for the map, ``sparse`` (M, 3) those for
+    scoring, metres.
     ``T_previous_current`` links it to the scan of the same LiDAR at ``previous``; both are None
     where there is no odometry.
     """
 
     core: CoreMeasurement
     thinned: NDArray[np.float64]
+    sparse: NDArray[np.float64]
     previous: int | None
     T_previous_current: gtsam.Pose3 | None
 
@@ -109,7 +111,8 @@ class FrontEnd:
         thinned = thin(base.points, self._config.map.voxel_size)
         previous, motion = self._match(chain, base, len(thinned))
         core = CoreMeasurement(scan.stamp, scan.sensor, CoreKind.LIDAR)
-        return PreparedScan(core, thinned, previous, motion)
+        sparse = thin(thinned, self._config.mom.voxel_size)
+        return PreparedScan(core, thinned, sparse, previous, motion)
 
     def _match(
         self, chain: _Chain, scan: BaseScan, useful: int

@@ -32,9 +32,7 @@ def fix_spread(state: GraphState, items: Sequence[Prepared]) -> Mapping[int, flo
     if not fixes:
         return {}
     first = state.fixes[0].enu if state.fixes else fixes[0].enu
-    return {
-        fix.core.stamp: 2.0 * float(np.linalg.norm((fix.enu - first)[:2])) for fix in fixes
-    }
+    return {fix.core.stamp: 2.0 * float(np.linalg.norm((fix.enu - first)[:2])) for fix in fixes}
 
 
 def moved_enough(state: GraphState, min_distance: float) -> bool:

@@ -267,9 +267,7 @@ class WindowFactors:
                 continue
             id_, stamp = self._ends(candidate, start)
             known = self._in.frontier.head_inertial
-            velocity = (
-                self._in.head_state if start == HEAD else self._in.states[stamp]
-            ).velocity
+            velocity = (self._in.head_state if start == HEAD else self._in.states[stamp]).velocity
             key = ('inertial', id_)
             if key not in self._cache:
                 sigma = graph.weak_sigma_velocity if known else graph.prior_sigma_velocity
@@ -281,7 +279,9 @@ class WindowFactors:
 
     def _first_prior(self, cluster: Cluster) -> Factor:
         return first_prior(
-            self.local_id(cluster), self._in.states[cluster.stamp].pose, cluster.stamp,
+            self.local_id(cluster),
+            self._in.states[cluster.stamp].pose,
+            cluster.stamp,
             self._in.config,
         )
 
@@ -290,8 +290,6 @@ def first_prior(cluster: int, pose: gtsam.Pose3, stamp: int, config: Config) -> 
     """Prior that holds the map's first pose: level well, yaw loosely."""
     graph = config.graph
     sigmas = np.array(
-        [graph.prior_sigma_level] * 2
-        + [graph.prior_sigma_yaw]
-        + [graph.prior_sigma_position] * 3
+        [graph.prior_sigma_level] * 2 + [graph.prior_sigma_yaw] + [graph.prior_sigma_position] * 3
     )
     return pose_prior(pose_key(cluster), pose, sigmas, stamp)

@@ -123,7 +123,9 @@ class Mapper:
             late=self._buffer.late,
             unused=[item.core for item in self._carried],
         )
-        stats['datum'] = None if datum is None else [datum.latitude, datum.longitude, datum.altitude]
+        stats['datum'] = (
+            None if datum is None else [datum.latitude, datum.longitude, datum.altitude]
+        )
         return stats
 
     def _fixes(self) -> NDArray[np.float64]:
@@ -168,9 +170,7 @@ class Mapper:
         )
         parts = elements(item.core for item in items)
         factors = WindowFactors(inputs, len(parts))
-        scenes = SceneBuilder(
-            items, inputs, factors, self._state, self.config.mom.submap_scans
-        )
+        scenes = SceneBuilder(items, inputs, factors, self._state, self.config.mom.submap_scans)
         frontier, keys = self._state.frontier, self._frontier_keys()
         task = Task(
             parts=parts,

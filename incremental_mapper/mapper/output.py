@@ -116,9 +116,7 @@ def _write_g2o(path: Path, result: MapResult) -> None:
         poses.insert(placed.id, result.values.atPose3(pose_key(placed.id)))
     for factor in result.factors:
         if isinstance(factor.factor, gtsam.BetweenFactorPose3):
-            graph.push_back(
-                factor.factor.rekey([gtsam.Symbol(key).index() for key in factor.keys])
-            )
+            graph.push_back(factor.factor.rekey([gtsam.Symbol(key).index() for key in factor.keys]))
     gtsam.writeG2o(graph, poses, str(path))
 
 

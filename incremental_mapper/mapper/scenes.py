@@ -44,16 +44,15 @@ class SceneBuilder:
         states = self._inputs.states
         voxel = self._inputs.config.mom.voxel_size
         settled = [
-            transform_points(self._pose(scan).matrix(), scan.points.astype(np.float64))
-            for scan in self._settled
+            transform_points(self._pose(scan).matrix(), scan.sparse) for scan in self._settled
         ]
-        moving = [item.thinned for item in self._new]
-        moving += [scan.points.astype(np.float64) for scan in self._touched]
+        moving = [item.sparse for item in self._new]
+        moving += [scan.sparse for scan in self._touched]
         predicted = [states[item.core.stamp].pose.matrix() for item in self._new]
         predicted += [self._pose(scan).matrix() for scan in self._touched]
         return Scene(
             fixed=thin(np.vstack([np.zeros((0, 3)), *settled]), voxel),
-            moving=[thin(points, voxel) for points in moving],
+            moving=moving,
             predicted=np.array(predicted).reshape(-1, 4, 4),
             fresh=len(self._new),
             origin=states[max(states)].pose.translation(),

@@ -195,8 +195,7 @@ def _verify(criterion: Mom, proposals: list[Proposal], clock: '_Clock') -> Verif
     fast = [fast_score(criterion.judges, pose, criterion.scene.origin) for pose in poses]
     fast_seconds = clock.lap('verify')
     direct = [
-        direct_score(criterion.judges, pose, criterion.scene, criterion.settings)
-        for pose in poses
+        direct_score(criterion.judges, pose, criterion.scene, criterion.settings) for pose in poses
     ]
     direct_seconds = clock.lap('verify')
     pairs = [(a, b) for a, b in zip(fast, direct, strict=True) if a is not None and b is not None]
@@ -228,5 +227,3 @@ class _Clock:
         passed, self._last = now - self._last, now
         self.seconds[stage] = self.seconds.get(stage, 0.0) + passed
         return passed
-
-

@@ -53,8 +53,9 @@ class PlacedCluster:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedScan:
-    """A scan of the map: points (N, 3) float32 in base_link, and where its cluster holds it.
+    """A scan of the map, and where its cluster holds it.
 
+    ``points`` (N, 3) float32 in base_link are for the map, ``sparse`` (M, 3) for scoring.
     ``T_cluster_scan`` is the identity unless motion is compensated within clusters.
     """
 
@@ -62,6 +63,7 @@ class PlacedScan:
     stamp: int
     sensor: str
     points: NDArray[np.float32]
+    sparse: NDArray[np.float64]
     T_cluster_scan: gtsam.Pose3
 
 

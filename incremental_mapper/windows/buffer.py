@@ -66,9 +66,7 @@ class WindowBuffer:
             if len(self._leap) < LEAP_WITNESSES:
                 return
             witnesses, self._leap = self._leap, []
-            self._newest = dict.fromkeys(
-                self._newest, min(witness.stamp for witness in witnesses)
-            )
+            self._newest = dict.fromkeys(self._newest, min(witness.stamp for witness in witnesses))
             for witness in witnesses:
                 self._insert(witness)
             return
