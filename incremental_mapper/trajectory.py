@@ -68,7 +68,7 @@ class Trajectory:
 
 
 def from_matrices(stamps: NDArray[np.int64], matrices: NDArray[np.float64]) -> Trajectory:
-    """Make a trajectory of homogeneous matrices (M, 4, 4); unsorted and repeated stamps are mended."""
+    """Make a trajectory of matrices (M, 4, 4), sorted by stamp, each stamp once."""
     order = np.unique(stamps, return_index=True)[1]
     return Trajectory(
         stamps=np.asarray(stamps, dtype=np.int64)[order],

@@ -16,7 +16,6 @@ from incremental_mapper.candidates.enumeration import connect
 from incremental_mapper.candidates.partitions import Element, make_cluster
 from incremental_mapper.candidates.spans import ImuStamps
 
-
 _Entry: TypeAlias = tuple[int, int, int, int, int | None, tuple[Cluster, ...], tuple[int, ...]]
 """Bound, -position, tie-breaker, position, stamp of the last node, clusters, nodes."""
 

@@ -73,7 +73,8 @@ def choose_judges(scene: Scene, settings: MomSettings) -> Judges:
     sizes = [len(scene.fixed), *(len(cloud) for cloud in clouds)]
     owner = np.repeat(np.arange(len(sizes)), sizes)
     fresh = np.flatnonzero((owner >= 1) & (owner <= scene.fresh))
-    seeds = fresh[spread_positions(len(fresh), 2 * settings.max_points)]
+    # Half as many again as are wanted: not every seed turns out to be planar.
+    seeds = fresh[spread_positions(len(fresh), settings.max_points * 3 // 2)]
     if len(seeds) == 0 or len(everything) == 0:
         return _no_judges(len(clouds))
     moments = _moments(everything, everything[seeds], settings.radius, owner, len(sizes))

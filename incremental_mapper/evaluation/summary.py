@@ -44,7 +44,7 @@ def summary(stats: Mapping[str, Any]) -> str:
         ),
         (
             'score',
-            ', '.join(f'{name} {count}x' for name, count in stats['selection.score'].items()),
+            _counts(stats['selection.score']),
         ),
         (
             'time',
@@ -111,6 +111,10 @@ def _interesting_start(run: Run) -> int:
     middle = (stamps[0] + stamps[-1]) // 2
     centre = min(fixes, key=lambda stamp: abs(stamp - middle), default=middle)
     return max(centre - round(GRAPH_SECONDS / 2 * NANOSECONDS), stamps[0])
+
+
+def _counts(counts: Mapping[str, int]) -> str:
+    return ', '.join(f'{name} {count}x' for name, count in counts.items())
 
 
 def _against(stats: Mapping[str, Any], name: str) -> str:

@@ -99,7 +99,8 @@ def follow(elimination: Elimination, solved: gtsam.Values) -> gtsam.VectorValues
     ``elimination.values``.
     """
     steps = gtsam.VectorValues()
-    for key in {key for factor in elimination.factors for key in factor.keys()}:
+    kept = {key for factor in elimination.factors for key in factor.keys()}  # noqa: SIM118
+    for key in kept:
         before, after = gtsam.Values(), gtsam.Values()
         copy_value(elimination.values, key, before)
         copy_value(solved, key, after)

@@ -18,8 +18,8 @@ from incremental_mapper.measurements import Drops, GnssFix, LidarScan
 from incremental_mapper.trajectory import NANOSECONDS
 from incremental_mapper.windows.buffer import CoreInput
 
-MAX_ACCELERATION = 30.0
-"""m/s^2; two matches that differ by more cannot both be right (a car brakes with about 10)."""
+MAX_SURPRISE = 1.5
+"""Metres between two scans that a match may differ from steady motion: no car brakes like that."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,8 +136,8 @@ class FrontEnd:
             return None, None
         tangent = gtsam.Pose3.Logmap(match.T_previous_current) / gap
         twist = Twist(linear=tangent[3:], angular=tangent[:3])
-        jump = float(np.linalg.norm(twist.linear - chain.twist.linear)) / gap
-        if not np.isfinite(tangent).all() or (chain.matched and jump > MAX_ACCELERATION):
+        surprise = float(np.linalg.norm(twist.linear - chain.twist.linear)) * gap
+        if not np.isfinite(tangent).all() or (chain.matched and surprise > MAX_SURPRISE):
             self.notes[f'{scan.sensor}: match rejected'] += 1
             chain.matcher, chain.twist, chain.matched = make_matcher(settings), STANDING, False
             chain.matcher.match(scan.points, gtsam.Pose3())

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import astuple, replace
 from typing import Any
 
 import gtsam
@@ -123,9 +123,7 @@ class Mapper:
             late=self._buffer.late,
             unused=[item.core for item in self._carried],
         )
-        stats['datum'] = (
-            None if datum is None else [datum.latitude, datum.longitude, datum.altitude]
-        )
+        stats['datum'] = None if datum is None else list(astuple(datum))
         return stats
 
     def _fixes(self) -> NDArray[np.float64]:
