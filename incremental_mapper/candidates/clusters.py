@@ -87,6 +87,11 @@ class Candidate:
         return frozenset(ends | {connection.start for connection in self.connections})
 
     @property
+    def merges(self) -> bool:
+        """Whether measurements of different stamps share a cluster."""
+        return any(cluster.time_range > 0 for cluster in self.clusters)
+
+    @property
     def vertices(self) -> int:
         """Variables that the candidate adds: a pose each, velocity and bias where needed."""
         return len(self.clusters) + 2 * len(self.inertial_clusters - {HEAD})

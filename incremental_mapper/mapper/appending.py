@@ -15,7 +15,7 @@ from incremental_mapper.graph.factors import (
     velocity_key,
 )
 from incremental_mapper.graph.smoother import extend, shorten
-from incremental_mapper.graph.solver import copy_value
+from incremental_mapper.graph.solver import copy_value, make_graph
 from incremental_mapper.mapper.front_end import PreparedFix, PreparedScan
 from incremental_mapper.mapper.local_graph import WindowFactors, WindowInputs
 from incremental_mapper.mapper.state import (
@@ -26,6 +26,9 @@ from incremental_mapper.mapper.state import (
     PlacedScan,
 )
 from incremental_mapper.trajectory import NANOSECONDS
+
+KNOWN_VELOCITY = 0.5
+"""m/s; a velocity with a smaller standard deviation may be used to predict motion."""
 
 
 def append_candidate(
@@ -74,12 +77,26 @@ def append_candidate(
     head = state.frontier.head
     if head is not None and state.frontier.head_inertial:
         state.last_velocity, state.last_bias = state.velocity(head), state.bias(head)
+        state.velocity_known |= _velocity_sigma(state, head) < KNOWN_VELOCITY
     elif len(inputs.states) > 0:
         state.last_velocity = inputs.states[max(inputs.states)].velocity
     oldest = state.frontier.newest_stamp - round(config.graph.lag * NANOSECONDS)
     state.lag, gone = shorten(state.lag, oldest, state.frontier.clusters())
     state.keep(gone)
     return placed, made
+
+
+def _velocity_sigma(state: GraphState, cluster: int) -> float:
+    """Largest standard deviation of a cluster's velocity, m/s; only asked for at the start."""
+    if state.velocity_known or state.lag.values is None:
+        return 0.0
+    graph = make_graph(state.lag.factors)
+    try:
+        marginals = gtsam.Marginals(graph, state.lag.values)
+        covariance = marginals.marginalCovariance(velocity_key(cluster))
+    except RuntimeError:
+        return float('inf')
+    return float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
 
 
 def _renamed(factor: Factor, final: dict[int, int]) -> Factor:

@@ -37,7 +37,9 @@ def window_inputs(
         for name, (cluster, stamp) in frontier.chains.items()
     }
     max_gap = round(config.preintegration.max_gap * NANOSECONDS)
-    states = predict(items, start, scan_poses, series, parameters, max_gap)
+    states = predict(
+        items, start, scan_poses, series, parameters, max_gap, velocity_known=state.velocity_known
+    )
     return WindowInputs(
         prepared={item.core: item for item in items},
         states=states,

@@ -178,6 +178,8 @@ class Mapper:
             scenes=scenes,
             prior=lambda: split_at(self._state.lag, keys),
             frontier_keys=keys,
+            # How far a merged measurement must be moved is unknown before the velocity is.
+            may_merge=self._state.velocity_known or not self.config.graph.motion_compensation,
             max_iterations=self.config.graph.max_iterations,
         )
         seconds['candidates'] = time.perf_counter() - started

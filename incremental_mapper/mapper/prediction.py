@@ -49,11 +49,13 @@ def predict(
     series: ImuSeries,
     parameters: gtsam.PreintegrationCombinedParams,
     max_gap: int,
+    velocity_known: bool,
 ) -> dict[int, State]:
     """States at the stamps of the core measurements, in time order.
 
     ``scan_poses`` are the known poses of earlier scans by (sensor, stamp). A scan with odometry
-    goes where its odometry puts it; everything else follows the state before it.
+    goes where its odometry puts it; everything else follows the state before it. With
+    ``velocity_known`` the velocity of ``start`` is better than what one match says.
     """
     poses = dict(scan_poses)
     states: dict[int, State] = {}
@@ -66,8 +68,10 @@ def predict(
             if last is not None and item.previous is not None and stamp not in states:
                 assert item.T_previous_current is not None
                 pose = last.compose(item.T_previous_current)
-                passed = (stamp - item.previous) / NANOSECONDS
-                velocity = (pose.translation() - last.translation()) / passed
+                velocity = moved.velocity
+                if not velocity_known:
+                    passed = (stamp - item.previous) / NANOSECONDS
+                    velocity = (pose.translation() - last.translation()) / passed
                 moved = State(stamp, pose, velocity, current.bias)
             poses[item.core.sensor, stamp] = states.get(stamp, moved).pose
         states.setdefault(stamp, moved)

@@ -70,7 +70,8 @@ class Task:
     """What is needed to choose: the elements, their factors, and what they are judged on.
 
     ``prior`` splits G(t-1) at the frontier, None before there is one; it is asked for only
-    where something is solved. ``head`` is the stamp of the cluster to connect from.
+    where something is solved. ``head`` is the stamp of the cluster to connect from. Without
+    ``may_merge`` candidates that merge are taken only where no other is connected.
     """
 
     parts: tuple[Element, ...]
@@ -80,6 +81,7 @@ class Task:
     scenes: SceneBuilder
     prior: Callable[[], Elimination | None]
     frontier_keys: tuple[int, ...]
+    may_merge: bool
     max_iterations: int
 
 
@@ -113,6 +115,8 @@ def choose(
     )
     enumerated = list(pool)
     connected = [item for item in enumerated if not task.factors.components(item)]
+    if not task.may_merge:
+        connected = [item for item in connected if not item.merges] or connected
     clock.lap('candidates')
     scene = task.scenes.scene() if plan.scene and connected else None
     criterion = plan.make(scene, mom, selection.direct)

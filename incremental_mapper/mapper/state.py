@@ -84,7 +84,8 @@ class GraphState:
     """All that the mapper remembers.
 
     ``values`` holds what has left the lag. ``scan_offsets`` is T_cluster_scan of each LiDAR's
-    last scan. ``last_velocity`` and ``last_bias`` are the newest ones that were estimated.
+    last scan. ``last_velocity`` and ``last_bias`` are the newest ones; ``velocity_known`` says
+    that the graph has pinned the velocity down since the start.
     ``alignment`` is how ENU sits in the map; ``georeferenced`` says that the map is ENU.
     """
 
@@ -99,6 +100,7 @@ class GraphState:
     scan_offsets: dict[tuple[str, int], gtsam.Pose3] = field(default_factory=dict)
     last_velocity: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
     last_bias: gtsam.imuBias.ConstantBias = field(default_factory=gtsam.imuBias.ConstantBias)
+    velocity_known: bool = False
     alignment: Alignment | None = None
     georeferenced: bool = False
 
