@@ -21,6 +21,10 @@ from incremental_mapper.geometry import pose_matrix
 Tree: TypeAlias = dict[str, Any]
 
 
+MOST_SUBMAP_SCANS = 200
+"""Upper limit of ``mom.submap_scans``; so many scans are kept for scoring."""
+
+
 class Strategy(StrEnum):
     """Which candidate a window keeps (paper, section Experimental Setup)."""
 
@@ -203,7 +207,7 @@ class MomSettings(Section):
     """Largest angle in radians between a normal and its family's axis."""
     voxel_size: float = Field(default=0.5, gt=0.0, le=5.0)
     """Scans are thinned to this grid, in metres, before they are scored."""
-    submap_scans: int = Field(default=6, ge=1, le=200)
+    submap_scans: int = Field(default=6, ge=1, le=MOST_SUBMAP_SCANS)
     """Scans of G(t-1) that the new scans are compared with."""
 
 

@@ -128,16 +128,15 @@ def _remember_measurements(
             prepared = inputs.prepared[core]
             offset = factors.offset(item.cluster, core.stamp)
             if isinstance(prepared, PreparedScan):
-                state.scans.append(
-                    PlacedScan(
-                        item.id,
-                        core.stamp,
-                        core.sensor,
-                        prepared.thinned.astype(np.float32),
-                        prepared.sparse,
-                        offset,
-                    )
+                scan = PlacedScan(
+                    item.id,
+                    core.stamp,
+                    core.sensor,
+                    prepared.thinned.astype(np.float32),
+                    offset,
                 )
+                state.scans.append(scan)
+                state.recent.append((scan, prepared.sparse))
             elif isinstance(prepared, PreparedFix):
                 arm = offset.transformFrom(inputs.config.gnss.matrix()[:3, 3])
                 state.fixes.append(

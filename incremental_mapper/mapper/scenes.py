@@ -31,25 +31,25 @@ class SceneBuilder:
         state: GraphState,
         recent: int,
     ) -> None:
-        last = state.scans[-recent:]
+        last = list(state.recent)[-recent:]
         self._state = state
         self._inputs = inputs
         self._factors = factors
         self._new = [item for item in items if isinstance(item, PreparedScan)]
-        self._touched = [scan for scan in last if state.in_lag(scan.cluster)]
-        self._settled = [scan for scan in last if not state.in_lag(scan.cluster)]
+        self._touched = [scan for scan in last if state.in_lag(scan[0].cluster)]
+        self._settled = [scan for scan in last if not state.in_lag(scan[0].cluster)]
 
     def scene(self) -> Scene:
         """The scene at the predicted poses."""
         states = self._inputs.states
         voxel = self._inputs.config.mom.voxel_size
         settled = [
-            transform_points(self._pose(scan).matrix(), scan.sparse) for scan in self._settled
+            transform_points(self._pose(scan).matrix(), points) for scan, points in self._settled
         ]
         moving = [item.sparse for item in self._new]
-        moving += [scan.sparse for scan in self._touched]
+        moving += [points for _, points in self._touched]
         predicted = [states[item.core.stamp].pose.matrix() for item in self._new]
-        predicted += [self._pose(scan).matrix() for scan in self._touched]
+        predicted += [self._pose(scan).matrix() for scan, _ in self._touched]
         return Scene(
             fixed=thin(np.vstack([np.zeros((0, 3)), *settled]), voxel),
             moving=moving,
@@ -72,7 +72,7 @@ class SceneBuilder:
             pose = values.atPose3(pose_key(self._factors.local_id(cluster)))
             offset = self._factors.offset(cluster, item.core.stamp)
             poses.append(pose.compose(offset).matrix())
-        for scan in self._touched:
+        for scan, _ in self._touched:
             key = pose_key(scan.cluster)
             if values.exists(key):
                 pose = values.atPose3(key)

@@ -1,5 +1,6 @@
 """G(t): every cluster, factor and value so far, and the lag in which it still changes."""
 
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -8,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from incremental_mapper.candidates.clusters import Cluster
+from incremental_mapper.config import MOST_SUBMAP_SCANS
 from incremental_mapper.frontend.geodesy import Alignment
 from incremental_mapper.graph.connectivity import UnionFind
 from incremental_mapper.graph.factors import (
@@ -53,9 +55,8 @@ class PlacedCluster:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedScan:
-    """A scan of the map, and where its cluster holds it.
+    """A scan of the map: points (N, 3) float32 in base_link, and where its cluster holds it.
 
-    ``points`` (N, 3) float32 in base_link are for the map, ``sparse`` (M, 3) for scoring.
     ``T_cluster_scan`` is the identity unless motion is compensated within clusters.
     """
 
@@ -63,7 +64,6 @@ class PlacedScan:
     stamp: int
     sensor: str
     points: NDArray[np.float32]
-    sparse: NDArray[np.float64]
     T_cluster_scan: gtsam.Pose3
 
 
@@ -79,11 +79,16 @@ class PlacedFix:
     factor: int
 
 
+def _recent_scans() -> deque[tuple[PlacedScan, NDArray[np.float64]]]:
+    return deque(maxlen=MOST_SUBMAP_SCANS)
+
+
 @dataclass(slots=True)
 class GraphState:
     """All that the mapper remembers.
 
-    ``values`` holds what has left the lag. ``scan_offsets`` is T_cluster_scan of each LiDAR's
+    ``values`` holds what has left the lag; ``recent`` are the newest scans with their points
+    (M, 3) for scoring. ``scan_offsets`` is T_cluster_scan of each LiDAR's
     last scan. ``last_velocity`` and ``last_bias`` are the newest ones; ``velocity_known`` says
     that the graph has pinned the velocity down since the start.
     ``alignment`` is how ENU sits in the map; ``georeferenced`` says that the map is ENU.
@@ -92,6 +97,7 @@ class GraphState:
     clusters: list[PlacedCluster] = field(default_factory=list)
     factors: list[Factor] = field(default_factory=list)
     scans: list[PlacedScan] = field(default_factory=list)
+    recent: deque[tuple[PlacedScan, NDArray[np.float64]]] = field(default_factory=_recent_scans)
     fixes: list[PlacedFix] = field(default_factory=list)
     lag: Lag = field(default_factory=Lag)
     values: gtsam.Values = field(default_factory=gtsam.Values)
