@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from incremental_mapper.candidates.clusters import Candidate
 from incremental_mapper.config import MomSettings, Strategy
 from incremental_mapper.criteria.mom import (
-    NO_SCORE,
     Judges,
     Scene,
     choose_judges,
@@ -87,25 +86,20 @@ class Mom:
 
     scene: Scene
     settings: MomSettings
-    judges: Judges
+    judges: Judges | None
     direct: bool = False
 
     @property
     def name(self) -> str:
         """``mom_3`` (or ``_2``, ``_1`` families), ``plane_variance``, or ``time_shift``."""
-        missing = self.judges.score_name == NO_SCORE
-        return 'time_shift' if missing else self.judges.score_name
+        return 'time_shift' if self.judges is None else self.judges.score_name
 
     def score(self, proposal: Proposal) -> float:
         """See Criterion."""
-        value = None
-        if proposal.poses is not None:
-            value = (
-                direct_score(self.judges, proposal.poses, self.scene, self.settings)
-                if self.direct
-                else fast_score(self.judges, proposal.poses, self.scene.origin)
-            )
-        return TimeShift().score(proposal) if value is None else value
+        if self.judges is None or proposal.poses is None:
+            return TimeShift().score(proposal)
+        score = direct_score if self.direct else fast_score
+        return score(self.judges, proposal.poses, self.scene, self.settings)
 
 
 def _make_mom(scene: Scene | None, settings: MomSettings, direct: bool) -> Criterion:

@@ -15,6 +15,11 @@ from incremental_mapper.mapper.front_end import Prepared, PreparedScan
 from incremental_mapper.mapper.local_graph import WindowFactors, WindowInputs
 from incremental_mapper.mapper.state import GraphState, PlacedScan
 
+_CORNERS = np.array([[x, y, z] for x in (-20.0, 20.0) for y in (-20.0, 20.0) for z in (-3.0, 3.0)])
+"""Corners, in metres, of the box that holds most of a scene's judging points."""
+MARGINS = (0.01, 0.3)
+"""Least and largest margin in metres; a larger one would put whole neighbourhoods in the shell."""
+
 
 class SceneBuilder:
     """Places a window's scans among the recent ones of G(t-1).
@@ -39,8 +44,8 @@ class SceneBuilder:
         self._touched = [scan for scan in last if state.in_lag(scan[0].cluster)]
         self._settled = [scan for scan in last if not state.in_lag(scan[0].cluster)]
 
-    def scene(self) -> Scene:
-        """The scene at the predicted poses."""
+    def scene(self, poses: Sequence[NDArray[np.float64]]) -> Scene:
+        """The scene for candidates with these ``poses`` (S, 4, 4) of the moving scans."""
         states = self._inputs.states
         voxel = self._inputs.config.mom.voxel_size
         settled = [
@@ -48,12 +53,11 @@ class SceneBuilder:
         ]
         moving = [item.sparse for item in self._new]
         moving += [points for _, points in self._touched]
-        predicted = [states[item.core.stamp].pose.matrix() for item in self._new]
-        predicted += [self._pose(scan).matrix() for scan, _ in self._touched]
         return Scene(
             fixed=thin(np.vstack([np.zeros((0, 3)), *settled]), voxel),
             moving=moving,
-            predicted=np.array(predicted).reshape(-1, 4, 4),
+            reference=poses[0],
+            margin=_margin(poses),
             fresh=len(self._new),
             origin=states[max(states)].pose.translation(),
         )
@@ -84,3 +88,21 @@ class SceneBuilder:
 
     def _pose(self, scan: PlacedScan) -> gtsam.Pose3:
         return self._state.pose(scan.cluster).compose(scan.T_cluster_scan)
+
+
+def _margin(poses: Sequence[NDArray[np.float64]]) -> float:
+    """How far, in metres, any candidate moves two scans against each other near the car.
+
+    What moves all scans alike changes no neighbourhood. The motion is affine in the place, so
+    the corners of a box around the car tell the largest one.
+    """
+    reference = poses[0]
+    centre = reference[0, :3, 3]
+    corners = np.append(centre + _CORNERS, np.ones((len(_CORNERS), 1)), axis=1)
+    back = np.linalg.inv(reference)
+    largest = 0.0
+    for other in poses[1:]:
+        moved = np.einsum('sij,cj->sci', other @ back, corners)[:, :, :3]
+        spans = moved.max(axis=0) - moved.min(axis=0)
+        largest = max(largest, float(np.linalg.norm(spans, axis=1).max()))
+    return float(np.clip(largest, *MARGINS))

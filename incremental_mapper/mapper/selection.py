@@ -118,10 +118,10 @@ def choose(
     if not task.may_merge:
         connected = [item for item in connected if not item.merges] or connected
     clock.lap('candidates')
-    scene = task.scenes.scene() if plan.scene and connected else None
+    proposals = list(_propose(task, plan, connected, clock))
+    poses = [item.poses for item, _ in proposals if item.poses is not None]
+    scene = task.scenes.scene(poses) if poses else None
     criterion = plan.make(scene, mom, selection.direct)
-    clock.lap('score')
-    proposals = list(_propose(task, plan, connected, scene is not None, clock))
     scores = [criterion.score(proposal) for proposal, _ in proposals]
     clock.lap('score')
     verification = None
@@ -152,7 +152,6 @@ def _propose(
     task: Task,
     plan: StrategyPlan,
     connected: list[Candidate],
-    wants_poses: bool,
     clock: '_Clock',
 ) -> Iterator[tuple[Proposal, gtsam.Values]]:
     """Solve the connected candidates; what cannot be solved is left out."""
@@ -177,7 +176,7 @@ def _propose(
             continue
         error = squared_error(own, solution.values)
         poses = None
-        if wants_poses:
+        if plan.scene:
             steps = None if prior is None else follow(prior, solution.values)
             poses = task.scenes.poses(candidate, solution.values, steps)
         clock.lap('solve')
@@ -194,17 +193,16 @@ def _restrict(values: gtsam.Values, wanted: gtsam.Values) -> gtsam.Values:
 
 def _verify(criterion: Mom, proposals: list[Proposal], clock: '_Clock') -> Verification | None:
     """Score every candidate by both evaluations."""
+    judges, scene, settings = criterion.judges, criterion.scene, criterion.settings
+    if judges is None:
+        return None
     poses = [proposal.poses for proposal in proposals if proposal.poses is not None]
     clock.lap('verify')
-    fast = [fast_score(criterion.judges, pose, criterion.scene.origin) for pose in poses]
+    fast = [fast_score(judges, pose, scene, settings) for pose in poses]
     fast_seconds = clock.lap('verify')
-    direct = [
-        direct_score(criterion.judges, pose, criterion.scene, criterion.settings) for pose in poses
-    ]
+    direct = [direct_score(judges, pose, scene, settings) for pose in poses]
     direct_seconds = clock.lap('verify')
-    pairs = [(a, b) for a, b in zip(fast, direct, strict=True) if a is not None and b is not None]
-    if not pairs:
-        return None
+    pairs = list(zip(fast, direct, strict=True))
     pick = min(range(len(pairs)), key=lambda i: pairs[i][0])
     best = min(range(len(pairs)), key=lambda i: pairs[i][1])
     floor = pairs[best][1]
