@@ -15,7 +15,7 @@ from incremental_mapper.candidates.spans import ImuStamps
 from incremental_mapper.config import Config
 from incremental_mapper.criteria.criterion import strategy_plan
 from incremental_mapper.frontend.inertial import EMPTY_SERIES, preintegration_parameters
-from incremental_mapper.graph.factors import Factor
+from incremental_mapper.graph.factors import Factor, pose_key
 from incremental_mapper.graph.smoother import cluster_keys, split_at
 from incremental_mapper.graph.solver import (
     copy_value,
@@ -28,13 +28,13 @@ from incremental_mapper.mapper.front_end import FrontEnd, Prepared
 from incremental_mapper.mapper.georeference import georeference
 from incremental_mapper.mapper.inputs import window_inputs
 from incremental_mapper.mapper.local_graph import WindowFactors, WindowInputs
-from incremental_mapper.mapper.result import MapResult, WindowResult
+from incremental_mapper.mapper.result import MapResult, NewestState, WindowResult
 from incremental_mapper.mapper.scenes import SceneBuilder
 from incremental_mapper.mapper.selection import Choice, Task, choose
 from incremental_mapper.mapper.state import BaseCount, GraphState, PlacedCluster
 from incremental_mapper.mapper.statistics import Totals, run_stats, window_row
 from incremental_mapper.measurements import ImuSample, Measurement
-from incremental_mapper.trajectory import NANOSECONDS, Trajectory, from_matrices
+from incremental_mapper.trajectory import NANOSECONDS, from_matrices
 from incremental_mapper.windows.buffer import Window, WindowBuffer
 
 
@@ -82,33 +82,56 @@ class Mapper:
         return results
 
     def finish(self) -> MapResult:
-        """Run what is left, optimise G(t) once more if the settings say so, and sum up."""
+        """Run what is left and return the whole map."""
         self.flush()
+        return self.result()
+
+    def result(self) -> MapResult:
+        """The map of all windows so far; the mapper can go on afterwards.
+
+        G(t) is optimised once more for it if ``graph.final_optimization`` says so.
+        """
+        values = self._state.all_values()
         if self.config.graph.final_optimization and self._state.clusters:
-            values = self._state.all_values()
             everything = make_graph(factor.factor for factor in self._state.factors)
             solution = optimize(everything, values, 100)
             if solution is None:
                 self._totals.solver_failures += 1
             else:
-                self._state.replace(solution.values)
+                values = solution.values
+        clusters = tuple(self._state.clusters)
+        poses = [values.atPose3(pose_key(placed.id)).matrix() for placed in clusters]
+        stamps = np.array([placed.cluster.stamp for placed in clusters], dtype=np.int64)
         return MapResult(
-            clusters=tuple(self._state.clusters),
+            clusters=clusters,
             factors=tuple(self._state.factors),
-            values=self._state.all_values(),
-            trajectory=self.trajectory(),
+            values=values,
+            trajectory=from_matrices(stamps, np.array(poses).reshape(-1, 4, 4)),
             scans=tuple(self._state.scans),
             fixes=self._fixes(),
             rows=tuple(self._rows),
             stats=self.stats(),
         )
 
-    def trajectory(self) -> Trajectory:
-        """Newest estimate of every cluster's pose T_map_base, in time order."""
-        clusters = self._state.clusters
-        matrices = [self._state.pose(placed.id).matrix() for placed in clusters]
-        stamps = np.array([placed.cluster.stamp for placed in clusters], dtype=np.int64)
-        return from_matrices(stamps, np.array(matrices).reshape(-1, 4, 4))
+    def newest(self) -> NewestState | None:
+        """Newest pose with covariance and twist, None before the first window; constant cost."""
+        cluster = self._state.frontier.newest
+        lag = self._state.lag
+        if cluster is None or lag.values is None:
+            return None
+        graph, covariance = make_graph(lag.factors), None
+        try:
+            marginals = gtsam.Marginals(graph, lag.values)
+            covariance = marginals.marginalCovariance(pose_key(cluster))
+        except RuntimeError:
+            covariance = None
+        inertial = self._state.has_inertial(cluster)
+        return NewestState(
+            stamp=self._state.frontier.newest_stamp,
+            pose=self._state.pose(cluster),
+            covariance=covariance,
+            velocity=self._state.velocity(cluster) if inertial else self._state.last_velocity,
+        )
 
     def stats(self) -> dict[str, Any]:
         """The keys of stats.json so far."""

@@ -147,17 +147,6 @@ class GraphState:
         for key in gone.keys():  # noqa: SIM118 (no mapping)
             copy_value(gone, key, self.values)
 
-    def replace(self, values: gtsam.Values) -> None:
-        """Take over new estimates of every variable."""
-        inside = self.lag.values
-        lagged, settled = gtsam.Values(), gtsam.Values()
-        for key in values.keys():  # noqa: SIM118 (no mapping)
-            home = lagged if inside is not None and inside.exists(key) else settled
-            copy_value(values, key, home)
-        self.values = settled
-        if inside is not None:
-            self.lag = Lag(self.lag.factors, lagged, self.lag.clusters, self.lag.healthy)
-
     def holder(self, key: int) -> gtsam.Values:
         """The values that hold a variable's newest estimate."""
         lag = self.lag.values
