@@ -7,7 +7,7 @@ from setuptools import find_packages, setup
 NAME = 'incremental_mapper'
 SETTINGS = sorted(str(path) for path in Path('config').glob('*.yaml'))
 
-SIMULATION = ['trimesh>=4.0', 'embreex>=2.17.7.post4']
+SIMULATION = ['embreex>=2.17.7.post4']
 PICTURES = ['matplotlib>=3.8']
 # GTSAM's wheel needs pytest 9, and Jazzy's launch_testing plugin does not load on 9.1 or later.
 TESTS = [

@@ -11,6 +11,9 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 
+LOOSE = 1e3
+"""Standard deviation, metres or radians and so on, of what holds undetermined variables."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
@@ -71,7 +74,8 @@ def eliminate(
 ) -> Elimination:
     """Eliminate variables in the given order; in time order nothing fills in.
 
-    Raises RuntimeError where a dropped variable is undetermined.
+    Variables that the graph leaves undetermined are held where they are, so loosely that it
+    shows nowhere else.
     """
     linear = graph.linearize(values)
     conditional, rest = gtsam.GaussianBayesNet(), linear
@@ -79,7 +83,15 @@ def eliminate(
         ordering = gtsam.Ordering()
         for key in dropped:
             ordering.push_back(key)
-        conditional, rest = linear.eliminatePartialSequential(ordering, gtsam.EliminateQR)
+        try:
+            conditional, rest = linear.eliminatePartialSequential(ordering, gtsam.EliminateQR)
+        except RuntimeError:
+            sizes = values.dims()
+            for key in linear.keys():  # noqa: SIM118 (no mapping)
+                size = sizes[key]
+                model = gtsam.noiseModel.Isotropic.Sigma(size, LOOSE)
+                linear.push_back(gtsam.JacobianFactor(key, np.eye(size), np.zeros(size), model))
+            conditional, rest = linear.eliminatePartialSequential(ordering, gtsam.EliminateQR)
     factors = (rest.at(i) for i in range(rest.size()))
     return Elimination(
         values=values,

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import astuple, replace
+from dataclasses import astuple, dataclass, replace
 from typing import Any
 
 import gtsam
@@ -36,6 +36,16 @@ from incremental_mapper.mapper.statistics import Totals, run_stats, window_row
 from incremental_mapper.measurements import ImuSample, Measurement
 from incremental_mapper.trajectory import NANOSECONDS, from_matrices
 from incremental_mapper.windows.buffer import Window, WindowBuffer
+
+
+@dataclass(frozen=True, slots=True)
+class _Frame:
+    """A window's bounds (ns), its number of IMU samples, and the seconds of its stages so far."""
+
+    start: int
+    end: int
+    imu: int
+    seconds: dict[str, float]
 
 
 class Mapper:
@@ -78,7 +88,7 @@ class Mapper:
         results = [self._run(window) for window in self._buffer.flush()]
         if self._carried:
             last = self._carried[-1].core.stamp
-            results.append(self._window([], (last, last + 1), {}, force=True))
+            results.append(self._window([], _Frame(last, last + 1, 0, {}), force=True))
         return results
 
     def finish(self) -> MapResult:
@@ -162,7 +172,8 @@ class Mapper:
         self._series = self._series.joined(window.imu)
         prepared = self._front_end.prepare(window.core)
         seconds = {'front_end': time.perf_counter() - started}
-        return self._window(prepared, (window.start, window.end), seconds)
+        frame = _Frame(window.start, window.end, len(window.imu), seconds)
+        return self._window(prepared, frame)
 
     def _keep_orientation(self, sample: ImuSample) -> None:
         if self._orientation is None and sample.orientation is not None:
@@ -171,14 +182,13 @@ class Mapper:
     def _window(
         self,
         prepared: Sequence[Prepared],
-        bounds: tuple[int, int],
-        seconds: dict[str, float],
+        frame: '_Frame',
         force: bool = False,
     ) -> WindowResult:
         """Choose and append; measurements that no candidate connects are carried on."""
         items = sorted([*self._carried, *prepared], key=lambda item: item.core)
         if not items:
-            return self._close(bounds, items, None, [], [], seconds)
+            return self._close(frame, items, None, [], [])
         self._count_base(prepared)
         started = time.perf_counter()
         inputs = window_inputs(
@@ -205,20 +215,20 @@ class Mapper:
             may_merge=self._state.velocity_known or not self.config.graph.motion_compensation,
             max_iterations=self.config.graph.max_iterations,
         )
-        seconds['candidates'] = time.perf_counter() - started
+        frame.seconds['candidates'] = time.perf_counter() - started
         choice = choose(task, self._plan, self.config.selection, self.config.mom)
         extra = [factors.weak_prior(part[0]) for part in choice.loose]
         if choice.winner is None:
             waited = (items[-1].core.stamp - items[0].core.stamp) / NANOSECONDS
             if not force and waited < self.config.window.max_carry:
                 self._carried = items
-                return self._close(bounds, items, choice, [], [], seconds)
+                return self._close(frame, items, choice, [], [])
             choice, extra = self._bridged(choice, task, inputs)
         self._carried = []
         started = time.perf_counter()
         placed, made = self._append(choice, extra, factors, inputs)
-        seconds['append'] = time.perf_counter() - started
-        return self._close(bounds, items, choice, placed, made, seconds)
+        frame.seconds['append'] = time.perf_counter() - started
+        return self._close(frame, items, choice, placed, made)
 
     def _frontier_keys(self) -> tuple[int, ...]:
         """Keys of the variables that candidates may touch."""
@@ -297,15 +307,14 @@ class Mapper:
 
     def _close(
         self,
-        bounds: tuple[int, int],
+        frame: '_Frame',
         items: Sequence[Prepared],
         choice: Choice | None,
         placed: Sequence[PlacedCluster],
         made: Sequence[Factor],
-        seconds: dict[str, float],
     ) -> WindowResult:
         """Record a window's numbers."""
-        totals = self._totals
+        totals, seconds = self._totals, frame.seconds
         error = self._newest_error(made)
         for stage, spent in (choice.seconds if choice else {}).items():
             seconds[stage] = seconds.get(stage, 0.0) + spent
@@ -319,14 +328,14 @@ class Mapper:
             totals.first_stamp = core[0].stamp if first is None else min(first, core[0].stamp)
             totals.last_stamp = max(totals.last_stamp, core[-1].stamp)
         row = window_row(
-            totals.windows, bounds, core, len(self._series.stamps), choice, error, seconds
+            totals.windows, (frame.start, frame.end), core, frame.imu, choice, error, seconds
         )
         self._rows.append(row)
         totals.windows += 1
         return WindowResult(
             index=totals.windows - 1,
-            start=bounds[0],
-            end=bounds[1],
+            start=frame.start,
+            end=frame.end,
             winner=None if choice is None or not placed else choice.winner,
             clusters=tuple(placed),
             poses=tuple(self._state.pose(item.id) for item in placed),
