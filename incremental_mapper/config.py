@@ -175,6 +175,10 @@ class GraphSettings(Section):
     """The same, m/s."""
     max_iterations: int = Field(default=10, ge=1, le=200)
     """Iterations of one local solve."""
+    markers_span: float = Field(default=10.0, ge=0.1, le=3600.0)
+    """Node: seconds of the newest part of the graph that the markers show."""
+    markers_period: float = Field(default=0.5, ge=0.05, le=3600.0)
+    """Node: shortest time between two publications of the markers, in seconds."""
 
 
 class SelectionSettings(Section):
@@ -218,6 +222,77 @@ class MapSettings(Section):
     """Voxel size of the map in metres."""
     max_range: float = Field(default=60.0, gt=0.0, le=1000.0)
     """Points further from the sensor than this many metres do not enter the map."""
+    publish_period: float = Field(default=2.0, ge=0.05, le=3600.0)
+    """Node: shortest time between two publications of the whole map, in seconds."""
+
+
+class PathSettings(Section):
+    """Node: the published trajectory."""
+
+    max_poses: int = Field(default=2000, ge=10, le=100_000)
+    """A longer trajectory is thinned to at most so many poses."""
+    publish_period: float = Field(default=1.0, ge=0.05, le=3600.0)
+    """Shortest time between two publications of the path, in seconds."""
+
+
+class FrameSettings(Section):
+    """Node: names of the frames (REP-105)."""
+
+    map: str = Field(default='map', min_length=1)
+    """Frame of poses, path, map and graph; local ENU once georeferenced."""
+    odom: str = Field(default='odom', min_length=1)
+    """Frame in which the car moves without jumps."""
+    base: str = Field(default='base_link', min_length=1)
+    """The car's own frame."""
+    publish_tf: bool = True
+    """Broadcast map to odom to base where tf2_ros is installed."""
+
+
+class SaveSettings(Section):
+    """Node: where maps are saved. A number is added to a name that is taken."""
+
+    folder: str = Field(default='incremental_map', min_length=1)
+    """Folder that the service save_map writes."""
+    on_shutdown: str = ''
+    """Folder to save into at shutdown and before a time jump resets the map; empty saves not."""
+
+
+class TimeJumpPolicy(StrEnum):
+    """What follows when stamps jump backwards, as in a looped bag."""
+
+    RESET = 'reset'
+    IGNORE = 'ignore'
+
+
+class TimeJumpSettings(Section):
+    """Node: stamps that jump backwards."""
+
+    threshold: float = Field(default=1.0, gt=0.0, le=3600.0)
+    """A sensor's stamp that is so many seconds older than its newest one is a jump."""
+    policy: TimeJumpPolicy = TimeJumpPolicy.RESET
+    """reset starts a new map, ignore counts such measurements and leaves them out."""
+
+
+class QueueSettings(Section):
+    """Node: measurements that wait for the worker.
+
+    From a fifth of ``core`` on fewer candidates are solved, from half of it on windows are
+    merged; when it is full the oldest measurement is dropped and counted.
+    """
+
+    core: int = Field(default=300, ge=10, le=100_000)
+    """Scans and fixes that may wait."""
+    imu: int = Field(default=20_000, ge=100, le=1_000_000)
+    """IMU samples that may wait."""
+    shutdown_timeout: float = Field(default=10.0, ge=0.0, le=600.0)
+    """Seconds that shutdown may take to map what waits; saving comes on top."""
+
+
+class DiagnosticsSettings(Section):
+    """Node: the topic /diagnostics."""
+
+    period: float = Field(default=1.0, ge=0.1, le=60.0)
+    """Seconds between two messages."""
 
 
 def _lidar_sections(value: object) -> object:
@@ -253,6 +328,12 @@ class Config(Section):
     selection: SelectionSettings = SelectionSettings()
     mom: MomSettings = MomSettings()
     map: MapSettings = MapSettings()
+    path: PathSettings = PathSettings()
+    frames: FrameSettings = FrameSettings()
+    save: SaveSettings = SaveSettings()
+    time_jump: TimeJumpSettings = TimeJumpSettings()
+    queue: QueueSettings = QueueSettings()
+    diagnostics: DiagnosticsSettings = DiagnosticsSettings()
 
 
 def merge(low: Mapping[str, Any], high: Mapping[str, Any]) -> Tree:

@@ -22,6 +22,7 @@ from incremental_mapper.map.cloud import accumulate
 from incremental_mapper.mapper.mapper import Mapper
 from incremental_mapper.mapper.result import MapResult
 from incremental_mapper.mapper.statistics import peak_rss_mb
+from incremental_mapper.measurements import Drops
 from incremental_mapper.trajectory import Trajectory
 
 LIBRARIES = ('gtsam', 'kiss-icp', 'small_gicp', 'rosbags', 'numpy', 'scipy', 'pymap3d')
@@ -102,19 +103,11 @@ def map_source(
         )
     points = map_points(result, config)
     errors = None if truth is None else trajectory_errors(result.trajectory, truth)
-    wall = time.perf_counter() - started
-    stats = dict(result.stats)
-    for (sensor, reason), count in source.drops.items():
-        reasons_of = stats['dropped'].setdefault(sensor, {})
-        reasons_of[reason] = reasons_of.get(reason, 0) + count
+    stats = complete_stats(result, source.drops, time.perf_counter() - started)
     stats.update(
         {
             'interrupted': interrupted,
             'map_points': len(points),
-            'wall_s': wall,
-            'real_time_factor': stats['drive_s'] / wall,
-            'peak_rss_mb': peak_rss_mb(),
-            **_window_seconds(result),
             **({} if errors is None else asdict(errors)),
             'input': {
                 'path': str(source.info.path),
@@ -122,10 +115,29 @@ def map_source(
                 'counts': source.info.counts,
                 'notes': list(source.info.notes),
             },
-            'versions': versions(),
         }
     )
     return Run(result, points, errors, stats, interrupted)
+
+
+def complete_stats(result: MapResult, drops: Drops, wall: float) -> dict[str, Any]:
+    """The keys of stats.json that every run has.
+
+    ``drops`` is what was lost before it reached the mapper, ``wall`` the seconds that passed.
+    """
+    stats = dict(result.stats)
+    dropped = {sensor: dict(reasons) for sensor, reasons in stats['dropped'].items()}
+    for (sensor, reason), count in drops.items():
+        reasons = dropped.setdefault(sensor, {})
+        reasons[reason] = reasons.get(reason, 0) + count
+    return stats | {
+        'dropped': dropped,
+        'wall_s': wall,
+        'real_time_factor': stats['drive_s'] / wall,
+        'peak_rss_mb': peak_rss_mb(),
+        **_window_seconds(result),
+        'versions': versions(),
+    }
 
 
 def map_points(result: MapResult, config: Config) -> NDArray[np.float64]:

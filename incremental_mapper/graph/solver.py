@@ -86,12 +86,10 @@ def eliminate(
         try:
             conditional, rest = linear.eliminatePartialSequential(ordering, gtsam.EliminateQR)
         except RuntimeError:
-            sizes = values.dims()
-            for key in linear.keys():  # noqa: SIM118 (no mapping)
-                size = sizes[key]
-                model = gtsam.noiseModel.Isotropic.Sigma(size, LOOSE)
-                linear.push_back(gtsam.JacobianFactor(key, np.eye(size), np.zeros(size), model))
-            conditional, rest = linear.eliminatePartialSequential(ordering, gtsam.EliminateQR)
+            held = make_graph([*(graph.at(i) for i in range(graph.size())), *_held(graph, values)])
+            conditional, rest = held.linearize(values).eliminatePartialSequential(
+                ordering, gtsam.EliminateQR
+            )
     factors = (rest.at(i) for i in range(rest.size()))
     return Elimination(
         values=values,
@@ -102,6 +100,22 @@ def eliminate(
             if factor is not None and factor.size() > 0
         ),
     )
+
+
+def _held(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> list[gtsam.NonlinearFactor]:
+    """Very loose priors at the present values on every variable of a graph."""
+    priors: list[gtsam.NonlinearFactor] = []
+    for key in graph.keyVector():
+        kind = chr(gtsam.Symbol(key).chr())
+        model = gtsam.noiseModel.Isotropic.Sigma(3 if kind == 'v' else 6, LOOSE)
+        if kind == 'x':
+            priors.append(gtsam.PriorFactorPose3(key, values.atPose3(key), model))
+        elif kind == 'v':
+            priors.append(gtsam.PriorFactorVector(key, values.atVector(key), model))
+        else:
+            bias = values.atConstantBias(key)
+            priors.append(gtsam.PriorFactorConstantBias(key, bias, model))
+    return priors
 
 
 def follow(elimination: Elimination, solved: gtsam.Values) -> gtsam.VectorValues:

@@ -68,7 +68,7 @@ def append_candidate(
         config.graph.max_iterations,
     )
     _remember_measurements(state, placed, factors, inputs, made)
-    state.factors.extend(made)
+    state.add_factors(made)
     state.clusters.extend(placed)
     for factor in made:
         for key in factor.keys:

@@ -1,7 +1,7 @@
 """Measurements in, G(t), poses, map and statistics out: the only place that keeps state."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import astuple, dataclass, replace
 from typing import Any
 
@@ -24,6 +24,7 @@ from incremental_mapper.graph.solver import (
     squared_error,
 )
 from incremental_mapper.mapper.appending import append_candidate
+from incremental_mapper.mapper.effort import FULL, Effort
 from incremental_mapper.mapper.front_end import FrontEnd, Prepared
 from incremental_mapper.mapper.georeference import georeference
 from incremental_mapper.mapper.inputs import window_inputs
@@ -35,7 +36,7 @@ from incremental_mapper.mapper.state import BaseCount, GraphState, PlacedCluster
 from incremental_mapper.mapper.statistics import Totals, run_stats, window_row
 from incremental_mapper.measurements import ImuSample, Measurement
 from incremental_mapper.trajectory import NANOSECONDS, from_matrices
-from incremental_mapper.windows.buffer import Window, WindowBuffer
+from incremental_mapper.windows.buffer import Window, WindowBuffer, joined
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +61,8 @@ class Mapper:
         self.config = config
         self._plan = strategy_plan(config.selection.strategy)
         self._buffer = WindowBuffer(config.window, sensors)
+        self._held: list[Window] = []  # closed, and waiting to be merged with the next
+        self._effort = FULL
         self._front_end = FrontEnd(config)
         self._parameters = preintegration_parameters(config.preintegration, config.imu.matrix())
         self._imu_gap = round(config.preintegration.max_gap * NANOSECONDS)
@@ -79,17 +82,33 @@ class Mapper:
 
     def push(self, measurement: Measurement) -> list[WindowResult]:
         """Take in a measurement and run the windows that it closed."""
+        return list(self.advance(measurement))
+
+    def advance(self, measurement: Measurement, effort: Effort = FULL) -> Iterator[WindowResult]:
+        """As ``push``, one window at a time: ``newest`` then tells of each.
+
+        ``effort`` limits what is spent on the windows.
+        """
         self._totals.received[measurement.sensor] += 1
         self._buffer.push(measurement)
-        return [self._run(window) for window in self._buffer.pop_ready()]
+        self._effort = effort
+        self._held += self._buffer.pop_ready()
+        while len(self._held) >= effort.windows:
+            yield self._run(self._next_window(effort.windows))
 
     def flush(self) -> list[WindowResult]:
         """Close and run every open window without waiting for anything late."""
-        results = [self._run(window) for window in self._buffer.flush()]
+        return list(self.drain())
+
+    def drain(self, effort: Effort = FULL) -> Iterator[WindowResult]:
+        """As ``flush``, one window at a time."""
+        self._effort = effort
+        self._held += self._buffer.flush()
+        while self._held:
+            yield self._run(self._next_window(effort.windows))
         if self._carried:
             last = self._carried[-1].core.stamp
-            results.append(self._window([], _Frame(last, last + 1, 0, {}), force=True))
-        return results
+            yield self._window([], _Frame(last, last + 1, 0, {}), force=True)
 
     def finish(self) -> MapResult:
         """Run what is left and return the whole map."""
@@ -165,6 +184,12 @@ class Mapper:
             return np.zeros((0, 3))
         return alignment.to_map(np.array([fix.enu for fix in self._state.fixes]).reshape(-1, 3))
 
+    def _next_window(self, count: int) -> Window:
+        """The oldest ``count`` windows that wait, as one."""
+        taken, self._held = self._held[:count], self._held[count:]
+        self._totals.merged_windows += len(taken) - 1
+        return joined(taken)
+
     def _run(self, window: Window) -> WindowResult:
         started = time.perf_counter()
         for sample in window.imu:
@@ -216,7 +241,9 @@ class Mapper:
             max_iterations=self.config.graph.max_iterations,
         )
         frame.seconds['candidates'] = time.perf_counter() - started
-        choice = choose(task, self._plan, self.config.selection, self.config.mom)
+        choice = choose(
+            task, self._plan, self.config.selection, self.config.mom, self._effort.candidates
+        )
         extra = [factors.weak_prior(part[0]) for part in choice.loose]
         if choice.winner is None:
             waited = (items[-1].core.stamp - items[0].core.stamp) / NANOSECONDS

@@ -86,9 +86,16 @@ class Task:
 
 
 def choose(
-    task: Task, plan: StrategyPlan, selection: SelectionSettings, mom: MomSettings
+    task: Task,
+    plan: StrategyPlan,
+    selection: SelectionSettings,
+    mom: MomSettings,
+    budget: int | None = None,
 ) -> Choice:
-    """Pick the best connected candidate; ties go to fewer vertices, then to the finer partition."""
+    """Pick the best connected candidate; ties go to fewer vertices, then to the finer partition.
+
+    Of the connected candidates the ``budget`` least shifted ones are tried, by default all.
+    """
     clock = _Clock()
     if plan.only_base:
         base = base_candidate(task.parts, task.head, task.imu)
@@ -117,6 +124,10 @@ def choose(
     connected = [item for item in enumerated if not task.factors.components(item)]
     if not task.may_merge:
         connected = [item for item in connected if not item.merges] or connected
+    found = len(connected)
+    if budget is not None and found > budget:
+        connected = sorted(connected, key=lambda item: item.time_shift)[:budget]
+        cut = True
     clock.lap('candidates')
     proposals = list(_propose(task, plan, connected, clock))
     poses = [item.poses for item, _ in proposals if item.poses is not None]
@@ -135,7 +146,7 @@ def choose(
         score=None if best is None else scores[best],
         score_name=criterion.name,
         enumerated=len(enumerated),
-        connected=len(connected),
+        connected=found,
         solved=len(proposals) if plan.solve else 0,
         cut=cut,
         seconds=clock.seconds,

@@ -1,7 +1,7 @@
 """G(t): every cluster, factor and value so far, and the lag in which it still changes."""
 
-from collections import deque
-from collections.abc import Mapping
+from collections import Counter, deque
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import gtsam
@@ -92,6 +92,7 @@ class GraphState:
     last scan. ``last_velocity`` and ``last_bias`` are the newest ones; ``velocity_known`` says
     that the graph has pinned the velocity down since the start.
     ``alignment`` is how ENU sits in the map; ``georeferenced`` says that the map is ENU.
+    ``factor_counts`` are the factors by kind, ``inertial`` the clusters with velocity and bias.
     """
 
     clusters: list[PlacedCluster] = field(default_factory=list)
@@ -109,6 +110,17 @@ class GraphState:
     velocity_known: bool = False
     alignment: Alignment | None = None
     georeferenced: bool = False
+    factor_counts: Counter[str] = field(default_factory=Counter)
+    inertial: set[int] = field(default_factory=set)
+
+    def add_factors(self, made: Sequence[Factor]) -> None:
+        """Append factors, and count them so that statistics cost the same all along a drive."""
+        self.factors.extend(made)
+        for factor in made:
+            self.factor_counts[str(factor.kind)] += 1
+            for symbol in map(gtsam.Symbol, factor.keys):
+                if symbol.chr() == ord('v'):
+                    self.inertial.add(symbol.index())
 
     def pose(self, cluster: int) -> gtsam.Pose3:
         """Newest estimate of a cluster's pose T_map_base."""

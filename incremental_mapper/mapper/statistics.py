@@ -8,7 +8,7 @@ from typing import Any
 
 from incremental_mapper.candidates.clusters import CoreMeasurement
 from incremental_mapper.config import Config, to_tree
-from incremental_mapper.graph.factors import Factor, FactorKind, key_name
+from incremental_mapper.graph.factors import FactorKind
 from incremental_mapper.mapper.selection import Choice, Verification
 from incremental_mapper.mapper.state import BaseCount, GraphState
 from incremental_mapper.measurements import Drops
@@ -25,6 +25,7 @@ class Totals:
     windows: int = 0
     carried_windows: int = 0
     cut_windows: int = 0
+    merged_windows: int = 0
     bridges: int = 0
     solver_failures: int = 0
     time_shift: int = 0
@@ -108,9 +109,9 @@ def run_stats(
     unused: Sequence[CoreMeasurement],
 ) -> dict[str, Any]:
     """The keys of stats.json that the mapper knows; the command adds its own."""
-    kinds = Counter(key_name(key)[0] for key in _keys(state.factors))
-    vertices = len(state.clusters) + kinds['v'] + kinds['b']
-    factor_kinds = Counter(str(factor.kind) for factor in state.factors)
+    # A velocity never comes without a bias.
+    vertices = len(state.clusters) + 2 * len(state.inertial)
+    factor_kinds = state.factor_counts
     factors = len(state.factors)
     drive = 0.0
     if totals.first_stamp is not None:
@@ -123,8 +124,8 @@ def run_stats(
         'factors': factors,
         'vertices_by_kind': {
             'pose': len(state.clusters),
-            'velocity': kinds['v'],
-            'bias': kinds['b'],
+            'velocity': len(state.inertial),
+            'bias': len(state.inertial),
         },
         'factors_by_kind': dict(sorted(factor_kinds.items())),
         'base_clusters': base.clusters,
@@ -142,6 +143,7 @@ def run_stats(
         'components': state.components.sets,
         'carried_windows': totals.carried_windows,
         'cut_windows': totals.cut_windows,
+        'merged_windows': totals.merged_windows,
         'bridges': totals.bridges,
         'solver_failures': totals.solver_failures,
         'weak_priors': factor_kinds[str(FactorKind.PRIOR_POSE)] - 1 if state.factors else 0,
@@ -186,10 +188,6 @@ def verification_summary(verifications: Sequence[Verification]) -> dict[str, Any
 def peak_rss_mb() -> float:
     """Largest resident memory of this process so far, in megabytes."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
-
-
-def _keys(factors: Sequence[Factor]) -> set[int]:
-    return {key for factor in factors for key in factor.keys}
 
 
 def _percent(count: int, base: int) -> float:

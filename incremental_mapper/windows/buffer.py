@@ -6,7 +6,7 @@ order in which messages came in, as long as none is later than that.
 """
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -33,6 +33,16 @@ class Window:
     end: int
     core: tuple[CoreInput, ...]
     imu: tuple[ImuSample, ...]
+
+
+def joined(windows: Sequence[Window]) -> Window:
+    """Consecutive windows, at least one, as one."""
+    return Window(
+        start=windows[0].start,
+        end=windows[-1].end,
+        core=tuple(item for window in windows for item in window.core),
+        imu=tuple(item for window in windows for item in window.imu),
+    )
 
 
 class WindowBuffer:
