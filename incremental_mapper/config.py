@@ -8,12 +8,20 @@ import difflib
 from collections.abc import Mapping
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated, Any, Self, TypeAlias
 
 import numpy as np
 import yaml
 from numpy.typing import NDArray
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    model_validator,
+)
 
 from incremental_mapper.errors import ConfigError
 from incremental_mapper.geometry import pose_matrix
@@ -100,6 +108,8 @@ class OdometrySettings(Section):
     """gicp target: 1 matches scan to scan, more match to a sliding map of so many scans."""
     min_points: int = Field(default=100, ge=10, le=100_000)
     """A scan with fewer points after down-sampling gets no odometry."""
+    min_overlap: float = Field(default=0.7, ge=0.0, le=1.0)
+    """A gicp match in which a smaller share of the points finds a partner is rejected."""
     max_gap: float = Field(default=1.0, gt=0.0, le=60.0)
     """Scans of one LiDAR that are further apart in seconds are not matched."""
     deskew: bool = True
@@ -108,6 +118,12 @@ class OdometrySettings(Section):
     """Standard deviation of a match in metres, each axis."""
     sigma_rotation: Sigma = 0.003
     """Standard deviation of a match in radians, each axis."""
+
+    @model_validator(mode='after')
+    def _check_ranges(self) -> Self:
+        if self.min_range >= self.max_range:
+            raise ValueError(f'min_range {self.min_range} is not below max_range {self.max_range}')
+        return self
 
 
 class ImuSettings(Section):

@@ -7,7 +7,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from incremental_mapper.config import Tree, merge, read_yaml
+from incremental_mapper.config import Tree, make_config, merge, read_yaml
 from incremental_mapper.criteria.criterion import strategy_names
 from incremental_mapper.datasets.open import open_source, read_truth
 from incremental_mapper.evaluation.run import Run, Stop, map_source, settle_config
@@ -67,6 +67,7 @@ def run(args: argparse.Namespace) -> int:
     if args.verify:
         chosen['verify'] = True
     tree = merge(tree, {'selection': chosen} if chosen else {})
+    make_config(tree, str(args.config or 'settings'))  # names the file, before the input is read
     source = open_source(args.input, tree)
     config = settle_config(source, tree, str(args.config or 'settings'))
     truth = source.truth() if args.truth is None else read_truth(args.truth)

@@ -92,6 +92,8 @@ def map_source(
             interrupted = True
             break
     result = mapper.finish()
+    if not result.clusters and interrupted:
+        raise KeyboardInterrupt
     if not result.clusters:
         reasons = ', '.join(
             f'{count} of {sensor} ({reason})'

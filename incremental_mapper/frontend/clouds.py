@@ -13,11 +13,12 @@ from incremental_mapper.measurements import LidarScan
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BaseScan:
-    """A scan in base_link at its stamp: ``points`` (N, 3) metres, float64."""
+    """A scan in base_link at its stamp: ``points`` (N, 3) and ``thinned`` (M, 3) metres."""
 
     stamp: int
     sensor: str
     points: NDArray[np.float64]
+    thinned: NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,20 +37,21 @@ def to_base(
     T_base_lidar: NDArray[np.float64],
     min_range: float,
     max_range: float,
+    voxel_size: float,
     twist: Twist | None,
 ) -> BaseScan:
-    """Move a scan into base_link; ranges in metres from the LiDAR.
+    """Move a scan into base_link and thin it; ranges in metres from the LiDAR.
 
     Where the scan has per-point times and a ``twist`` is given, each point is moved to where
     base_link saw it at the scan's stamp.
     """
-    ranges = np.linalg.norm(scan.points, axis=1)
+    ranges = np.linalg.norm(scan.points.astype(np.float64), axis=1)
     keep = (ranges >= min_range) & (ranges <= max_range)
     points = transform_points(T_base_lidar, scan.points[keep].astype(np.float64))
     if twist is not None and scan.point_times is not None:
         times = scan.point_times[keep].astype(np.float64)[:, None]
         points = Rotation.from_rotvec(times * twist.angular).apply(points) + times * twist.linear
-    return BaseScan(stamp=scan.stamp, sensor=scan.sensor, points=points)
+    return BaseScan(scan.stamp, scan.sensor, points, thin(points, voxel_size))
 
 
 def thin(points: NDArray[np.float64], voxel_size: float) -> NDArray[np.float64]:

@@ -17,10 +17,13 @@ from incremental_mapper.geometry import transform_points
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Match:
-    """Motion between two scans: ``T_previous_current``, and whether the matcher converged."""
+    """Motion between two scans, ``T_previous_current``, and how much of the scan it explains.
+
+    ``overlap`` is the share of points that found a partner, 1 where the matcher does not tell.
+    """
 
     T_previous_current: gtsam.Pose3
-    converged: bool
+    overlap: float = 1.0
 
 
 class ScanMatcher(Protocol):
@@ -56,7 +59,9 @@ class KissMatcher:
             self._started = True
             return None
         motion = np.linalg.inv(before) @ self._icp.last_pose
-        return Match(gtsam.Pose3(motion), converged=bool(np.isfinite(motion).all()))
+        if not np.isfinite(motion).all():
+            return Match(guess, overlap=0.0)
+        return Match(gtsam.Pose3(motion))
 
 
 class GicpMatcher:
@@ -89,7 +94,8 @@ class GicpMatcher:
             motion = np.asarray(result.T_target_source)
             finite = bool(np.isfinite(motion).all())
             pose = gtsam.Pose3(motion) if finite else guess
-            match = Match(pose, converged=bool(result.converged) and finite)
+            overlap = result.num_inliers / max(cloud.size(), 1) if finite else 0.0
+            match = Match(pose, overlap)
             back = pose.inverse().matrix()
             for i, older in enumerate(self._window):
                 self._window[i] = transform_points(back, older)

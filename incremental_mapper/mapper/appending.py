@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import gtsam
 import numpy as np
 
-from incremental_mapper.candidates.clusters import Candidate, CoreKind
+from incremental_mapper.candidates.clusters import Candidate
 from incremental_mapper.config import Config
 from incremental_mapper.graph.factors import (
     Factor,
@@ -164,7 +164,10 @@ def _next_frontier(
     chains = dict(state.frontier.chains)
     for item in placed:
         for core in item.cluster.members:
-            if core.kind is CoreKind.LIDAR and core.stamp >= chains.get(core.sensor, (0, 0))[1]:
+            scan = inputs.prepared[core]
+            if not isinstance(scan, PreparedScan) or not scan.usable:
+                continue
+            if core.stamp >= chains.get(core.sensor, (0, 0))[1]:
                 chains[core.sensor] = (item.id, core.stamp)
     # A scan that can no longer be matched to need not stay in the lag.
     max_gap = round(config.odometry.max_gap * NANOSECONDS)

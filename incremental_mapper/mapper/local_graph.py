@@ -150,17 +150,25 @@ class WindowFactors:
         pose = self._in.states[cluster.stamp].pose
         return pose_prior(pose_key(self.local_id(cluster)), pose, sigmas, cluster.stamp)
 
-    def bridge(self, cluster: Cluster, newest_pose: gtsam.Pose3) -> Factor:
-        """Loosely ties a component to the newest cluster by the predicted motion."""
-        graph = self._in.config.graph
-        assert self._in.frontier.newest is not None
+    def bridge(self, cluster: Cluster, first: Cluster, newest: gtsam.Pose3 | None) -> Factor:
+        """Loosely ties a component to G(t-1) by the predicted motion.
+
+        ``newest`` is the pose of its newest cluster; without a G(t-1) the window's ``first``
+        cluster takes its place.
+        """
+        graph, frontier = self._in.config.graph, self._in.frontier
+        if frontier.newest is None or newest is None:
+            anchor, stamp = self.local_id(first), first.stamp
+            pose = self._in.states[stamp].pose
+        else:
+            anchor, stamp, pose = frontier.newest, frontier.newest_stamp, newest
         return between_factor(
             FactorKind.BRIDGE,
-            (pose_key(self._in.frontier.newest), pose_key(self.local_id(cluster))),
-            newest_pose.between(self._in.states[cluster.stamp].pose),
+            (pose_key(anchor), pose_key(self.local_id(cluster))),
+            pose.between(self._in.states[cluster.stamp].pose),
             pose_sigmas(graph.weak_sigma_position, graph.weak_sigma_rotation),
             None,
-            (self._in.frontier.newest_stamp, cluster.stamp),
+            (stamp, cluster.stamp),
         )
 
     def initial(self, candidate: Candidate) -> gtsam.Values:

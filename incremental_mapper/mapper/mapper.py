@@ -9,6 +9,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from incremental_mapper.candidates.enumeration import base_candidate
 from incremental_mapper.candidates.partitions import elements
 from incremental_mapper.candidates.search import by_time_shift
 from incremental_mapper.candidates.spans import ImuStamps
@@ -273,15 +274,14 @@ class Mapper:
         Taken only when measurements have waited for ``window.max_carry`` and nothing came that
         connects them.
         """
-        best = next(by_time_shift(task.parts, task.head, task.imu))
+        least = next(by_time_shift(task.parts, task.head, task.imu))
+        base = base_candidate(task.parts, task.head, task.imu)
+        best = min((least, base), key=lambda item: len(task.factors.components(item)))
         newest = self._state.frontier.newest
         loose = task.factors.components(best)
         self._totals.bridges += len(loose)
-        if newest is None:
-            extra = [task.factors.weak_prior(part[0]) for part in loose]
-        else:
-            pose = self._state.pose(newest)
-            extra = [task.factors.bridge(part[0], pose) for part in loose]
+        pose = None if newest is None else self._state.pose(newest)
+        extra = [task.factors.bridge(part[0], best.clusters[0], pose) for part in loose]
         bridged = replace(
             choice, winner=best, initial=task.factors.initial(best), score_name='bridged'
         )

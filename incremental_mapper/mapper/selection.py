@@ -130,7 +130,8 @@ def choose(
         cut = True
     clock.lap('candidates')
     proposals = list(_propose(task, plan, connected, clock))
-    poses = [item.poses for item, _ in proposals if item.poses is not None]
+    # Without a scan, new or recent, there is nothing to judge a map by.
+    poses = [item.poses for item, _ in proposals if item.poses is not None and len(item.poses)]
     scene = task.scenes.scene(poses) if poses else None
     criterion = plan.make(scene, mom, selection.direct)
     scores = [criterion.score(proposal) for proposal, _ in proposals]

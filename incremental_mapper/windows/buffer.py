@@ -59,6 +59,7 @@ class WindowBuffer:
         self._imu: dict[tuple[int, str], ImuSample] = {}
         self._newest: dict[str, int] = {}
         self._leap: list[Measurement] = []
+        self._first: list[Measurement] | None = []  # None once the clock is known
         self._start: int | None = None
         self._closed_core = -1  # newest core stamp that was handed out
         self._closed_imu = -1
@@ -70,6 +71,11 @@ class WindowBuffer:
 
     def push(self, measurement: Measurement) -> None:
         """Take in one measurement; what cannot be used is counted in ``drops``."""
+        if self._first is not None:
+            self._first.append(measurement)
+            if len(self._first) >= LEAP_WITNESSES:
+                self._set_clock()
+            return
         newest = max(self._newest.values(), default=measurement.stamp)
         if measurement.stamp - newest > MAX_LEAP:
             self._leap.append(measurement)
@@ -94,6 +100,7 @@ class WindowBuffer:
 
     def flush(self) -> list[Window]:
         """All that is left, as closed windows."""
+        self._set_clock()
         self._reject_leap()
         windows: list[Window] = []
         while True:
@@ -102,9 +109,22 @@ class WindowBuffer:
                 break
             windows.append(window)
         if self._imu:
-            end = max(stamp for stamp, _ in self._imu) + 1
-            windows.append(self._take(end))
+            stamps = [stamp for stamp, _ in self._imu]
+            start = min(stamps) if self._start is None else self._start
+            windows.append(self._take(start, max(max(stamps), start) + 1))
         return windows
+
+    def _set_clock(self) -> None:
+        """Tell by the first measurements what time it is: one alone may be far ahead of it."""
+        first, self._first = self._first, None
+        if not first:
+            return
+        middle = sorted(item.stamp for item in first)[(len(first) - 1) // 2]
+        for item in first:
+            if item.stamp - middle > MAX_LEAP:
+                self.drops[item.sensor, 'stamp_leap'] += 1
+            else:
+                self._insert(item)
 
     def _reject_leap(self) -> None:
         for suspect in self._leap:
@@ -147,17 +167,16 @@ class WindowBuffer:
             if watermark is not None and watermark < oldest + self._duration:
                 return None
             self._start = oldest
-        if oldest >= self._start + self._duration:
-            self._start += (oldest - self._start) // self._duration * self._duration
-        end = self._start + self._duration
+        # Empty windows are passed over, but only once nothing can come to fill them.
+        start = self._start + max(oldest - self._start, 0) // self._duration * self._duration
+        end = start + self._duration
         if watermark is not None and watermark < end:
             return None
-        return self._take(end)
+        return self._take(start, end)
 
-    def _take(self, end: int) -> Window:
+    def _take(self, start: int, end: int) -> Window:
         core = sorted(key for key in self._core if key[0] < end)
         imu = sorted(key for key in self._imu if key[0] < end)
-        start = end - self._duration if self._start is None else self._start
         self._start = end
         if core:
             self._closed_core = core[-1][0]

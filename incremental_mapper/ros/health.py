@@ -1,0 +1,125 @@
+"""What /diagnostics tells: every input, the worker, the map."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from std_msgs.msg import Header
+
+from incremental_mapper.mapper.effort import FULL
+from incremental_mapper.mapper.statistics import STAGES
+from incremental_mapper.measurements import Drops
+from incremental_mapper.ros.inputs import GNSS, Inputs
+from incremental_mapper.ros.messages import status
+from incremental_mapper.ros.worker import WindowUpdate, Worker
+
+MAPPER_KEYS = ('windows', 'clusters', 'vertices', 'factors', 'components', 'georeferenced')
+
+
+class Health:
+    """Makes the diagnostics; used in the executor's thread only."""
+
+    def __init__(self, name: str, inputs: Inputs, worker: Worker) -> None:
+        self._name = name
+        self._inputs = inputs
+        self._worker = worker
+        self._last: WindowUpdate | None = None
+
+    def window(self, update: WindowUpdate) -> None:
+        """Remember the newest window."""
+        self._last = update
+
+    def restart(self) -> None:
+        """Forget the map before."""
+        self._last = None
+
+    def message(self, stamp: Time) -> DiagnosticArray:
+        """The state at this moment."""
+        drops = self._all_drops()
+        rates, behind = self._inputs.rates(), self._inputs.lateness()
+        inputs = [
+            self._input(sensor, rate, behind.get(sensor), drops.get(sensor, {}))
+            for sensor, rate in rates.items()
+        ]
+        parts = [*inputs, self._queue(), self._map(drops)]
+        return DiagnosticArray(header=Header(stamp=stamp), status=parts)
+
+    def _stats(self) -> Mapping[str, Any]:
+        return {} if self._last is None else self._last.stats
+
+    def _all_drops(self) -> dict[str, dict[str, int]]:
+        """Everything that was not used, by sensor and reason, wherever it was lost."""
+        drops: dict[str, dict[str, int]] = {
+            sensor: dict(reasons) for sensor, reasons in self._stats().get('dropped', {}).items()
+        }
+        outside: Drops = self._worker.drops()
+        for (sensor, reason), count in outside.items():
+            reasons = drops.setdefault(sensor, {})
+            reasons[reason] = reasons.get(reason, 0) + count
+        return drops
+
+    def _input(
+        self, sensor: str, rate: float, behind: float | None, drops: Mapping[str, int]
+    ) -> DiagnosticStatus:
+        received = self._inputs.received[sensor]
+        level, message = DiagnosticStatus.OK, f'{rate:.1f} Hz'
+        if self._inputs.paused:
+            message = 'paused'
+        elif received == 0:
+            level, message = DiagnosticStatus.WARN, 'no message yet'
+        elif behind is None:
+            level, message = DiagnosticStatus.WARN, 'no usable message yet'
+        elif behind > self._worker.config.window.lateness and sensor != GNSS:
+            level, message = DiagnosticStatus.WARN, f'{behind:.1f} s behind'
+        values = {
+            'topic': self._inputs.topics[sensor],
+            'received': received,
+            'rate_hz': round(rate, 2),
+            'behind_s': behind,
+            'dropped': dict(drops),
+        }
+        return status(f'{self._name}: {sensor}', level, message, values)
+
+    def _queue(self) -> DiagnosticStatus:
+        core, imu = self._worker.inbox.waiting()
+        effort = self._worker.inbox.effort()
+        row = {} if self._last is None else self._last.result.row
+        stats = self._stats()
+        overloaded = effort != FULL
+        values = {
+            'queue_core': core,
+            'queue_imu': imu,
+            'candidates_limit': effort.candidates,
+            'windows_merged_into_one': effort.windows,
+            'window_s': row.get('window_s', 0.0),
+            **{f'{stage}_s': row.get(f'{stage}_s', 0.0) for stage in STAGES},
+            'cut_windows': stats.get('cut_windows', 0),
+            'merged_windows': stats.get('merged_windows', 0),
+            'late_but_used': stats.get('late_but_used', 0),
+            'real_time_factor': stats.get('real_time_factor', 0.0),
+            'time_jumps': self._worker.jumps.jumps,
+            'peak_rss_mb': stats.get('peak_rss_mb', 0.0),
+        }
+        return status(
+            f'{self._name}: worker',
+            DiagnosticStatus.WARN if overloaded else DiagnosticStatus.OK,
+            'falling behind: less search' if overloaded else 'keeps up',
+            values,
+        )
+
+    def _map(self, drops: Mapping[str, Mapping[str, int]]) -> DiagnosticStatus:
+        stats = self._stats()
+        values = {key: stats.get(key, 0) for key in MAPPER_KEYS}
+        values |= {
+            'fixes_received': self._inputs.received[GNSS],
+            'fixes_used': stats.get('factors_by_kind', {}).get(GNSS, 0),
+            'fixes_rejected': dict(drops.get(GNSS, {})),
+        }
+        connected = values['components'] <= 1
+        return status(
+            f'{self._name}: map',
+            DiagnosticStatus.OK if connected else DiagnosticStatus.WARN,
+            'connected' if connected else 'the graph is not connected',
+            values,
+        )

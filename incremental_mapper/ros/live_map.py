@@ -1,0 +1,201 @@
+"""Map, path and graph as they stand now, at a cost that does not grow with every window.
+
+What has left the mapper's lag is settled: it is placed once and kept. Only the lag is placed
+anew. When the map is turned into ENU, once in a drive, everything is placed again.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from incremental_mapper.config import Config
+from incremental_mapper.geometry import transform_points
+from incremental_mapper.graph.factors import Factor, FactorKind, pose_numbers
+from incremental_mapper.mapper.mapper import Mapper
+from incremental_mapper.mapper.state import GraphState, PlacedScan
+from incremental_mapper.trajectory import NANOSECONDS
+
+_BITS = 21
+"""Bits of a voxel's key for each axis."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GraphView:
+    """The newest part of the graph, metres in the map.
+
+    ``poses`` (N, 3); ``merged`` (M, 3) are those of them that hold several measurements;
+    ``edges`` (E, 2, 3) by kind of factor; ``priors`` (P, 3).
+    """
+
+    stamp: int
+    poses: NDArray[np.float64]
+    merged: NDArray[np.float64]
+    edges: dict[str, NDArray[np.float64]]
+    priors: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PathView:
+    """Stamps (N,) in ns and poses (N, 7): x, y, z, qx, qy, qz, qw."""
+
+    stamps: list[int]
+    poses: list[list[float]]
+
+
+class VoxelCloud:
+    """Points of which each voxel keeps the first; adding costs about as much as what is added.
+
+    The keys lie in sorted blocks of growing size, so none of them is sorted often.
+    """
+
+    def __init__(self, voxel_size: float) -> None:
+        self._size = voxel_size
+        self._blocks: list[NDArray[np.int64]] = []
+        self._points: list[NDArray[np.float32]] = []
+
+    def fresh(self, points: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+        """Sorted keys and points (N, 3), one for each voxel that is not yet taken."""
+        cells = np.floor(points / self._size).astype(np.int64) + (1 << (_BITS - 1))
+        inside = ((cells >= 0) & (cells < (1 << _BITS))).all(axis=1)
+        points, cells = points[inside], cells[inside]
+        keys = (cells[:, 0] << 2 * _BITS) | (cells[:, 1] << _BITS) | cells[:, 2]
+        keys, first = np.unique(keys, return_index=True)
+        new = np.ones(len(keys), dtype=np.bool_)
+        for block in self._blocks:
+            place = np.minimum(np.searchsorted(block, keys), len(block) - 1)
+            new &= block[place] != keys
+        return keys[new], points[first[new]].astype(np.float32)
+
+    def add(self, points: NDArray[np.float64]) -> None:
+        """Add points (N, 3) in metres."""
+        keys, fresh = self.fresh(points)
+        if len(keys) == 0:
+            return
+        self._points.append(fresh)
+        self._blocks.append(keys)
+        while len(self._blocks) > 1 and len(self._blocks[-2]) < 2 * len(self._blocks[-1]):
+            last, before = self._blocks.pop(), self._blocks.pop()
+            self._blocks.append(np.sort(np.concatenate([before, last])))
+
+    def points(self) -> NDArray[np.float32]:
+        """All points (N, 3), metres."""
+        if len(self._points) > 1:
+            self._points = [np.concatenate(self._points)]
+        return self._points[0] if self._points else np.zeros((0, 3), dtype=np.float32)
+
+
+class LiveMap:
+    """Follows a mapper; ``follow`` is to be called after every window."""
+
+    def __init__(self, mapper: Mapper) -> None:
+        self._mapper = mapper
+        self._path: list[tuple[int, list[float]]] = []
+        self._stride = 1
+        self._restart()
+
+    def follow(self) -> None:
+        """Take over what has settled since the last call."""
+        state = self._mapper.state
+        if state.georeferenced != self._georeferenced:
+            self._restart()
+        while self._scans < len(state.scans):
+            scan = state.scans[self._scans]
+            if state.in_lag(scan.cluster):
+                break
+            self._cloud.add(self._placed(scan))
+            self._scans += 1
+        while self._clusters < len(state.clusters):
+            placed = state.clusters[self._clusters]
+            if state.in_lag(placed.id):
+                break
+            if self._clusters % self._stride == 0:
+                self._path.append((placed.cluster.stamp, pose_numbers(state.pose(placed.id))))
+            self._clusters += 1
+        while len(self._path) > self._config.path.max_poses // 2:
+            self._path = self._path[::2]
+            self._stride *= 2
+
+    def points(self) -> NDArray[np.float32]:
+        """The map (N, 3) in metres, one point a voxel."""
+        settled = self._cloud.points()
+        moving = self.placed(self._mapper.state.scans[self._scans :])
+        return np.concatenate([settled, self._cloud.fresh(moving)[1]])
+
+    def placed(self, scans: Iterable[PlacedScan]) -> NDArray[np.float64]:
+        """Points (N, 3) of scans in the map, metres."""
+        return np.concatenate([np.zeros((0, 3)), *map(self._placed, scans)])
+
+    def path(self) -> PathView:
+        """At most ``path.max_poses`` poses, the newest among them."""
+        state = self._mapper.state
+        moving = state.clusters[self._clusters :]
+        room = max(self._config.path.max_poses - len(self._path), 1)
+        stride = max(self._stride, -(-len(moving) // room))
+        # Counted from the newest one, which is always shown.
+        shown = moving[::-1][::stride][::-1]
+        rows = self._path + [
+            (item.cluster.stamp, pose_numbers(state.pose(item.id))) for item in shown
+        ]
+        return PathView([stamp for stamp, _ in rows], [pose for _, pose in rows])
+
+    def graph(self, span: float) -> GraphView:
+        """Poses and factors of the newest ``span`` seconds."""
+        state = self._mapper.state
+        newest = state.frontier.newest_stamp
+        oldest = newest - round(span * NANOSECONDS)
+        first = len(state.clusters)
+        while first > 0 and state.clusters[first - 1].cluster.stamp >= oldest:
+            first -= 1
+        shown = state.clusters[first:]
+        place = {item.id: state.pose(item.id).translation() for item in shown}
+        edges: dict[str, list[NDArray[np.float64]]] = {}
+        priors: list[NDArray[np.float64]] = []
+        for factor, ends in _recent_factors(state, first):
+            points = [place[end] for end in ends if end in place]
+            if factor.kind is FactorKind.GNSS:
+                points.append(np.array(factor.data['position']))
+            if len(points) == 2:
+                edges.setdefault(str(factor.kind), []).append(np.stack(points))
+            elif factor.kind is FactorKind.PRIOR_POSE:
+                priors += points
+        return GraphView(
+            stamp=newest,
+            poses=_table(list(place.values())),
+            merged=_table([place[item.id] for item in shown if len(item.cluster.members) > 1]),
+            edges={kind: np.stack(pairs) for kind, pairs in edges.items()},
+            priors=_table(priors),
+        )
+
+    @property
+    def _config(self) -> Config:
+        return self._mapper.config
+
+    def _restart(self) -> None:
+        self._georeferenced = self._mapper.state.georeferenced
+        self._cloud = VoxelCloud(self._config.map.voxel_size)
+        self._scans = 0
+        self._clusters = 0
+        self._path = []
+        self._stride = 1
+
+    def _placed(self, scan: PlacedScan) -> NDArray[np.float64]:
+        near = np.einsum('ij,ij->i', scan.points, scan.points) <= self._config.map.max_range**2
+        pose = self._mapper.state.pose(scan.cluster).compose(scan.T_cluster_scan)
+        return transform_points(pose.matrix(), scan.points[near].astype(np.float64))
+
+
+def _recent_factors(state: GraphState, first: int) -> Iterable[tuple[Factor, list[int]]]:
+    """Factors of clusters from number ``first`` on, newest first, with their clusters."""
+    for factor in reversed(state.factors):
+        ends = sorted({int(gtsam.Symbol(key).index()) for key in factor.keys})
+        # Factors are appended with their newest cluster, window by window.
+        if ends[-1] < first:
+            return
+        yield factor, ends
+
+
+def _table(points: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+    return np.array(points, dtype=np.float64).reshape(-1, 3)

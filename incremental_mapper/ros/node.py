@@ -1,0 +1,264 @@
+"""The node: subscriptions in, one worker that maps, publishers and services out."""
+
+import signal
+import sys
+import threading
+from collections import deque
+from collections.abc import Callable, Generator
+from itertools import count
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.clock import Clock, ClockType, JumpThreshold, TimeJump
+from rclpy.context import Context
+from rclpy.duration import Duration
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+from std_srvs.srv import SetBool, Trigger
+
+from incremental_mapper.errors import ConfigError, MapperError
+from incremental_mapper.mapper.effort import FULL
+from incremental_mapper.ros.health import Health
+from incremental_mapper.ros.inbox import Command, Deadline, Order
+from incremental_mapper.ros.inputs import Inputs
+from incremental_mapper.ros.outputs import Outputs
+from incremental_mapper.ros.parameters import NodeParameters
+from incremental_mapper.ros.worker import (
+    Reply,
+    Restarted,
+    Trouble,
+    Update,
+    ViewUpdate,
+    WindowUpdate,
+    Worker,
+)
+
+NAME = 'incremental_mapper'
+TICK = 0.1
+"""Seconds between two looks at what is due, and the longest wait for a signal."""
+ARRIVAL_LIMIT = 1.0
+"""Seconds for which a flush lets messages come in that were sent before it."""
+
+
+class _NextCycle:
+    """Awaiting it lets the executor look at everything that is ready once more."""
+
+    def __await__(self) -> Generator[None, None, None]:
+        yield
+
+
+class MapperNode:
+    """Puts the parts together; everything but the worker runs in the executor's thread.
+
+    Raises ConfigError where a parameter is unknown or its value is refused.
+    """
+
+    def __init__(
+        self,
+        context: Context | None = None,
+        cli_args: list[str] | None = None,
+        parameter_overrides: list[Parameter] | None = None,
+    ) -> None:
+        self._context = context or rclpy.get_default_context()
+        self.node = Node(
+            NAME,
+            context=self._context,
+            cli_args=cli_args,
+            parameter_overrides=parameter_overrides,
+            automatically_declare_parameters_from_overrides=True,
+        )
+        try:
+            self.parameters = NodeParameters(self.node)
+        except ConfigError:
+            self.node.destroy_node()
+            raise
+        self._updates: deque[Update] = deque()
+        self._futures: dict[int, Future] = {}
+        self._tickets = count(1)
+        self._stopping = False
+        self._overloaded = False
+        config = self.parameters.config
+        self._logger = self.node.get_logger()
+        self._guard = self.node.create_guard_condition(self._on_updates)
+        self._worker = Worker(config, self._take_update)
+        self._inputs = Inputs(self.node, config, self._worker.inbox.put)
+        self._worker.outside_drops = self._inputs.drops
+        self._outputs = Outputs(self.node, self.parameters, self._worker.inbox)
+        self._health = Health(self.node.get_name(), self._inputs, self._worker)
+        self._diagnostics = self.node.create_publisher(
+            DiagnosticArray, '/diagnostics', QoSProfile(depth=10)
+        )
+        self._offer_services()
+        # On the node's own clock timers would stand still until somebody publishes /clock.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.node.create_timer(TICK, self._on_tick, clock=steady)
+        self.node.create_timer(config.diagnostics.period, self._on_diagnostics, clock=steady)
+        self._jump_handle = self.node.get_clock().create_jump_callback(
+            JumpThreshold(
+                min_forward=None,
+                min_backward=Duration(seconds=-config.time_jump.threshold),
+                on_clock_change=False,
+            ),
+            post_callback=self._on_clock_jump,
+        )
+        self._warn_of_extrinsics()
+        self._worker.start()
+
+    def spin(self, stop: Callable[[], bool]) -> None:
+        """Work until ``stop`` says so or the context is shut down, then finish what is open."""
+        executor = SingleThreadedExecutor(context=self._context)
+        executor.add_node(self.node)
+        try:
+            while not stop() and self._context.ok():
+                executor.spin_once(TICK)
+            self._begin_stop()
+            # Publishers and services go on while the worker finishes.
+            while self._worker.running() and self._context.ok():
+                executor.spin_once(TICK)
+        except ExternalShutdownException:
+            self._begin_stop()
+        self._worker.join()
+        if self._context.ok():
+            self._on_updates()
+            # Whoever waits for a service gets the answer that came last.
+            executor.spin_once(0.0)
+        executor.shutdown()
+        self.node.destroy_node()
+
+    def _begin_stop(self) -> None:
+        if not self._stopping:
+            self._stopping = True
+            self._inputs.paused = True
+            self._worker.begin_stop(self.parameters.config.queue.shutdown_timeout)
+
+    def _take_update(self, update: Update) -> None:
+        """Called by the worker: hand an update to the executor's thread."""
+        self._updates.append(update)
+        if self._context.ok():
+            self._guard.trigger()
+        elif isinstance(update, Trouble):
+            sys.stderr.write(f'{NAME}: {update.message}\n')
+
+    def _on_updates(self) -> None:
+        while self._updates:
+            update = self._updates.popleft()
+            if isinstance(update, WindowUpdate):
+                self._outputs.window(update)
+                self._health.window(update)
+            elif isinstance(update, ViewUpdate):
+                self._outputs.view(update)
+            elif isinstance(update, Restarted):
+                self._logger.warning(f'a new map begins: {update.reason}')
+                self._inputs.restart()
+                self._health.restart()
+                self._outputs.clear()
+            elif isinstance(update, Reply):
+                future = self._futures.pop(update.ticket, None)
+                if future is not None:
+                    future.set_result(update)
+            else:
+                self._logger.warning(update.message)
+
+    def _on_tick(self) -> None:
+        self._worker.graph_span = self.parameters.config.graph.markers_span
+        self._outputs.tick()
+        overloaded = self._worker.inbox.effort() != FULL
+        if overloaded and not self._overloaded:
+            self._logger.warning(
+                'measurements come faster than they are mapped: fewer candidates are tried, then '
+                'windows are merged; slow the input down or lower selection.max_candidates'
+            )
+        self._overloaded = overloaded
+
+    def _on_diagnostics(self) -> None:
+        stamp = self.node.get_clock().now().to_msg()
+        self._diagnostics.publish(self._health.message(stamp))
+
+    def _on_clock_jump(self, jump: TimeJump) -> None:
+        self._worker.jumps.clock_jumped()
+
+    def _offer_services(self) -> None:
+        # The answers are awaited, and must not keep other callbacks from running meanwhile.
+        group = ReentrantCallbackGroup()
+        for order in (Order.SAVE, Order.RESET, Order.FLUSH):
+            self.node.create_service(
+                Trigger, f'~/{order}', self._obeys(order), callback_group=group
+            )
+        self.node.create_service(SetBool, '~/pause', self._on_pause, callback_group=group)
+
+    def _obeys(self, order: Order) -> Callable[[Any, Any], Any]:
+        async def on_request(request: Any, response: Any) -> Any:
+            if self._stopping:
+                response.message = 'the node is shutting down'
+                return response
+            if order is Order.FLUSH:
+                await self._arrived()
+            ticket = next(self._tickets)
+            self._futures[ticket] = Future()
+            self._worker.inbox.put(Command(order, ticket))
+            reply: Reply = await self._futures[ticket]
+            response.success, response.message = reply.success, reply.message
+            return response
+
+        return on_request
+
+    async def _arrived(self) -> None:
+        """Let the messages that wait in the middleware come in first, for a limited time."""
+        limit = Deadline(ARRIVAL_LIMIT)
+        before = -1
+        while self._inputs.received.total() != before and not limit.passed():
+            before = self._inputs.received.total()
+            await _NextCycle()
+            await _NextCycle()
+
+    def _on_pause(self, request: Any, response: Any) -> Any:
+        self._inputs.paused = request.data or self._stopping
+        response.success = True
+        response.message = 'paused: measurements are left out' if request.data else 'running'
+        return response
+
+    def _warn_of_extrinsics(self) -> None:
+        lidars = self.parameters.config.lidars
+        poses = {lidar.T_base_sensor for lidar in lidars.values()}
+        if len(lidars) > 1 and len(poses) == 1:
+            self._logger.warning(
+                f'LiDARs {", ".join(lidars)} have the same T_base_sensor; '
+                'set lidars.<name>.T_base_sensor (pose of the sensor in base_link) of each'
+            )
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node until SIGINT or SIGTERM; returns the exit status."""
+    wanted = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: wanted.set())
+    try:
+        _start(args).spin(wanted.is_set)
+    except MapperError as error:
+        print(f'{NAME}: {error}', file=sys.stderr)
+        return 1
+    finally:
+        rclpy.try_shutdown()
+    return 0
+
+
+def _start(args: list[str] | None) -> MapperNode:
+    """The node, from the program's arguments; raises ConfigError where they are wrong."""
+    try:
+        # Our own handlers leave the context alive, so that the last windows can be published.
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+        return MapperNode()
+    # A parameter file, argument or type of a value that rclpy cannot read.
+    except (RuntimeError, ValueError) as error:
+        reason = ' '.join(str(error).split())
+        raise ConfigError(f'arguments or parameters cannot be used: {reason}') from error
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,58 @@
+"""Saving a map while the node runs: complete or not at all, and never over anything."""
+
+import shutil
+import tempfile
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+from incremental_mapper.errors import OutputError
+from incremental_mapper.evaluation.run import Run, complete_stats, map_points
+from incremental_mapper.evaluation.summary import draw_pictures
+from incremental_mapper.mapper.mapper import Mapper
+from incremental_mapper.mapper.output import write_result
+from incremental_mapper.measurements import Drops
+
+
+def save_map(
+    wanted: Path, mapper: Mapper, drops: Drops, wall: float, facts: dict[str, Any]
+) -> Path:
+    """Write the files of ``map`` into ``wanted``, or into ``wanted_2`` and so on where it exists.
+
+    ``drops`` is what was lost before the mapper, ``wall`` the seconds since the first
+    measurement, ``facts`` more keys of stats.json. Returns the folder that was made. Raises
+    OutputError where there is nothing to save or the folder cannot be written.
+    """
+    result = mapper.result()
+    if not result.clusters:
+        raise OutputError('the map is empty, nothing was saved; no scan and no fix was mapped yet')
+    points = map_points(result, mapper.config)
+    target = wanted.expanduser().absolute()
+    scratch: Path | None = None
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        scratch = Path(tempfile.mkdtemp(prefix=f'.{target.name}.', dir=target.parent))
+        # mkdtemp makes folders that only their owner can read.
+        scratch.chmod(0o755)
+        stats = complete_stats(result, drops, wall)
+        stats |= {'interrupted': False, 'map_points': len(points), **facts}
+        run = Run(result, points, None, stats, False)
+        write_result(scratch, result, points, stats)
+        draw_pictures(scratch, run, None)
+        place = _free_name(target)
+        scratch.rename(place)
+        scratch = None
+        return place
+    except OSError as error:
+        raise OutputError(f'{target}: cannot be written ({error.strerror or error})') from error
+    finally:
+        if scratch is not None:
+            shutil.rmtree(scratch, ignore_errors=True)
+
+
+def _free_name(target: Path) -> Path:
+    numbers = count(2)
+    place = target
+    while place.exists() or place.is_symlink():
+        place = target.with_name(f'{target.name}_{next(numbers)}')
+    return place

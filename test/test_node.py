@@ -1,0 +1,164 @@
+"""The node on a clean drive: its topics, and that it maps as ``map`` does."""
+
+import json
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy', reason='rclpy is not installed (extra "ros")')
+
+from nav_msgs.msg import Path
+from ros_helpers import (
+    NodeSession,
+    assert_same_graph,
+    bag_parameters,
+    decode_cloud,
+    decode_status,
+    map_offline,
+    read_inputs,
+    stamp_of,
+)
+from scipy.spatial import cKDTree
+from sensor_msgs.msg import PointCloud2
+
+from incremental_mapper.trajectory import read_tum
+
+MEASURED = {'wall_s', 'real_time_factor', 'peak_rss_mb', 'seconds_by_stage'}
+"""Keys of numbers that differ from run to run."""
+
+
+@pytest.fixture(scope='module')
+def session(light_bag, tmp_path_factory):
+    """A node that has mapped the whole drive and still runs."""
+    folder = tmp_path_factory.mktemp('node')
+    saving = {'save': {'folder': str(folder / 'saved')}}
+    made = NodeSession(folder, bag_parameters(light_bag, saving))
+    made.play(read_inputs(light_bag))
+    made.finish()
+    made.folder = folder / 'saved'
+    success, message = made.call('save_map')
+    assert success and str(made.folder) in message
+    yield made
+    made.close()
+
+
+@pytest.fixture(scope='module')
+def offline(light_bag):
+    return map_offline(light_bag, bag_parameters(light_bag))
+
+
+def test_graph_is_that_of_the_map_command(session, offline):
+    assert_same_graph(session.folder, offline)
+    names = {path.name for path in session.folder.iterdir()}
+    assert names >= {'trajectory.tum', 'map.ply', 'graph.g2o', 'windows.csv', 'stats.json'}
+    saved = json.loads((session.folder / 'stats.json').read_text())
+    assert saved.keys() == offline.stats.keys()
+    assert saved['vertices'] == offline.stats['vertices']
+    assert saved['map_points'] == offline.stats['map_points']
+
+
+def test_every_window_has_odometry_and_poses(session, offline):
+    windows = [row for row in offline.result.rows if row['clusters']]
+    odometry, poses = session.received['odometry'], session.received['poses']
+    assert len(odometry) == len(poses) == len(windows)
+    assert [len(message.poses) for message in poses] == [row['clusters'] for row in windows]
+    stamps = [stamp_of(message) for message in odometry]
+    assert stamps == sorted(set(stamps))
+    assert {(m.header.frame_id, m.child_frame_id) for m in odometry} == {('map', 'base_link')}
+    for message in odometry:
+        covariance = np.array(message.pose.covariance).reshape(6, 6)
+        assert np.linalg.eigvalsh(covariance).min() > 0
+    # The car drives at constant speed, forwards.
+    newest = odometry[-1].twist.twist.linear
+    truth = offline.result.trajectory
+    moved = np.linalg.norm(truth.positions[-1] - truth.positions[0])
+    seconds = (truth.stamps[-1] - truth.stamps[0]) / 1e9
+    assert newest.x == pytest.approx(moved / seconds, abs=0.5)
+    assert abs(newest.y) < 0.5 and abs(newest.z) < 0.5
+
+
+def test_path_is_the_whole_trajectory(session, offline):
+    path = session.received['path'][-1]
+    saved = read_tum(session.folder / 'trajectory.tum')
+    assert [stamp_of(pose) for pose in path.poses] == saved.stamps.tolist()
+    at = [pose.pose.position for pose in path.poses]
+    table = np.array([[point.x, point.y, point.z] for point in at])
+    # The saved map was optimised as a whole once more.
+    assert np.abs(table - saved.positions).max() < 0.1
+
+
+def test_map_overlaps_that_of_the_map_command(session, offline):
+    points = decode_cloud(session.received['map'][-1])
+    assert np.isfinite(points).all()
+    assert len(points) == pytest.approx(len(offline.points), rel=0.25)
+    for ours, theirs in ((points, offline.points), (offline.points, points)):
+        distance, _ = cKDTree(theirs).query(ours)
+        assert np.mean(distance < 0.3) > 0.98
+
+
+def test_increments_make_up_the_map(session):
+    increments = np.vstack([decode_cloud(item) for item in session.received['map_increment']])
+    distance, _ = cKDTree(increments).query(decode_cloud(session.received['map'][-1]))
+    # The first ones came before the map was turned into ENU.
+    assert np.median(distance) < 0.2
+
+
+def test_graph_stats_are_the_numbers_of_the_core(session, offline):
+    stats = session.stats()
+    assert len(stats) == len(offline.result.rows)
+    own = {key for key in stats[-1] if not key.startswith('window.')}
+    assert own == (offline.result.stats.keys() - {'settings'}) | {
+        'wall_s',
+        'real_time_factor',
+        'peak_rss_mb',
+    }
+    for key in own - MEASURED:
+        assert stats[-1][key] == pytest.approx(offline.result.stats[key], abs=1e-6), key
+    for message, row in zip(stats, offline.result.rows, strict=True):
+        for key, value in row.items():
+            if not key.endswith('_s') or key == 'time_shift_s':
+                assert message[f'window.{key}'] == pytest.approx(value, abs=1e-6), key
+
+
+def test_markers_show_every_kind_of_factor(session, offline):
+    markers = session.received['graph'][-1].markers
+    assert markers[0].action == markers[0].DELETEALL
+    by_name = {marker.ns: marker for marker in markers[1:]}
+    factors = offline.result.stats['factors_by_kind']
+    assert len(by_name['poses'].points) == offline.result.stats['clusters']
+    for kind in ('odometry', 'imu', 'gnss'):
+        assert len(by_name[kind].points) == 2 * factors[kind]
+    merged = sum(len(item.cluster.members) > 1 for item in offline.result.clusters)
+    assert len(by_name['clusters'].points) == merged > 0
+    assert len(by_name['priors'].points) == factors['prior_pose']
+
+
+def test_late_joiner_gets_the_latched_map_and_path(session):
+    session.listen('/incremental_mapper/map', PointCloud2, 'late map', latched=True)
+    session.listen('/incremental_mapper/path', Path, 'late path', latched=True)
+    late = session.received
+    session.wait(lambda: late['late map'] and late['late path'], 'latched messages')
+    assert late['late map'][0] == late['map'][-1]
+    assert late['late path'][0] == late['path'][-1]
+
+
+def test_diagnostics_tell_of_every_part(session):
+    found = session.diagnostics()
+    assert found.keys() == {'left', 'right', 'imu', 'gnss', 'worker', 'map'}
+    assert found['map']['fixes_received'] == found['map']['fixes_used'] == 3
+    assert found['imu']['received'] == 251 and found['imu']['dropped'] == {}
+    assert found['worker']['queue_core'] == 0 and found['worker']['merged_windows'] == 0
+    message = session.received['diagnostics'][-1]
+    assert {item.level for item in message.status} == {b'\x00'}
+    assert decode_status(message.status[0])['topic'] == '/points_left'
+
+
+def test_map_that_nobody_listened_to_is_there_for_the_first_listener(tmp_path, light_bag):
+    quiet = NodeSession(tmp_path, bag_parameters(light_bag), listen=False)
+    quiet.listen('/incremental_mapper/graph_stats', *quiet.of('graph_stats'))
+    quiet.play(read_inputs(light_bag))
+    quiet.finish()
+    quiet.listen('/incremental_mapper/map', *quiet.of('map'))
+    quiet.wait(lambda: quiet.received['map'], 'the map')
+    assert len(decode_cloud(quiet.received['map'][0])) > 1000
+    quiet.close()

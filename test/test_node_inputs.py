@@ -1,0 +1,208 @@
+"""What comes in: clouds of every layout, faulty messages, sensors that are missing or die."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy', reason='rclpy is not installed (extra "ros")')
+
+from ros_helpers import (
+    NodeSession,
+    assert_same_graph,
+    bag_parameters,
+    map_offline,
+    read_inputs,
+    restamp,
+    stamp_of,
+)
+from sensor_msgs.msg import PointField
+
+LEFT, RIGHT, IMU, FIX = '/points_left', '/points_right', '/imu', '/fix'
+
+
+@pytest.fixture(scope='module')
+def messages(light_bag):
+    return read_inputs(light_bag)
+
+
+@pytest.fixture
+def start(tmp_path, light_bag):
+    """Start a node with settings laid over those of the bag; it is closed in the end."""
+    sessions = []
+
+    def make(*trees):
+        saving = {'save': {'folder': str(tmp_path / 'saved')}}
+        sessions.append(NodeSession(tmp_path, bag_parameters(light_bag, saving, *trees)))
+        return sessions[-1]
+
+    yield make
+    for session in sessions:
+        session.close()
+
+
+def points_of(message):
+    return np.frombuffer(message.data, dtype='<f4').reshape(-1, 4)[:, :3]
+
+
+def repack(message, table, rows=1, padding=0, big_endian=False):
+    """The cloud with the structured array ``table`` as its data."""
+    codes = {'f4': PointField.FLOAT32, 'f8': PointField.FLOAT64, 'u2': PointField.UINT16}
+    layout = table.dtype
+    message.fields = [
+        PointField(
+            name=name,
+            offset=layout.fields[name][1],
+            datatype=codes[layout.fields[name][0].str[1:]],
+            count=1,
+        )
+        for name in layout.names
+    ]
+    message.height, message.width = rows, len(table) // rows
+    message.point_step = layout.itemsize
+    message.row_step = message.width * layout.itemsize + padding
+    pad = bytes([255]) * padding
+    lines = [part.tobytes() + pad for part in np.split(table, rows)]
+    message.data = b''.join(lines)
+    message.is_bigendian = big_endian
+    message.is_dense = True  # drivers claim that even where it is not so
+    return message
+
+
+def big_endian_in_padded_rows(message):
+    """Two rows with rests behind them; a NaN point where the number is odd."""
+    points = points_of(message)
+    table = np.zeros(len(points) + len(points) % 2, dtype=[(n, '>f4') for n in 'xyz'])
+    for column, name in enumerate('xyz'):
+        table[name] = np.nan
+        table[name][: len(points)] = points[:, column]
+    return repack(message, table, rows=2, padding=5, big_endian=True)
+
+
+def unordered_with_rests_and_nan(message):
+    """Fields in another order, a foreign one between, double z, and points that are no numbers."""
+    points = points_of(message)
+    layout = {
+        'names': ['z', 'ring', 'x', 'y'],
+        'formats': ['<f8', '<u2', '<f4', '<f4'],
+        'offsets': [0, 9, 12, 18],
+        'itemsize': 26,
+    }
+    table = np.zeros(2 * len(points), dtype=layout)
+    for column, name in enumerate('xyz'):
+        table[name][::2] = points[:, column]
+        table[name][1::2] = [np.nan, np.inf, 0.0][column]
+    return repack(message, table)
+
+
+def no_z(message):
+    message.fields = [field for field in message.fields if field.name != 'z']
+    return message
+
+
+def unknown_type(message):
+    message.fields[0].datatype = 99
+    return message
+
+
+def truncated(message):
+    message.data = bytes(message.data)[:100]
+    return message
+
+
+def only_nan(message):
+    message.data = np.full(len(message.data) // 4, np.nan, dtype='<f4').tobytes()
+    return message
+
+
+def unstamped(message):
+    return restamp(message, 0)
+
+
+def nan_rate(message):
+    message.angular_velocity.x = float('nan')
+    return message
+
+
+def no_fix(message):
+    message.status.status = -1
+    return message
+
+
+FAULTS = [
+    (LEFT, no_z, 'left', 'missing_field'),
+    (LEFT, unknown_type, 'left', 'wrong_type'),
+    (RIGHT, truncated, 'right', 'truncated'),
+    (RIGHT, only_nan, 'right', 'no_finite_points'),
+    (LEFT, unstamped, 'left', 'no_stamp'),
+    (IMU, nan_rate, 'imu', 'not_finite'),
+    (FIX, no_fix, 'gnss', 'no_fix'),
+]
+
+
+def test_layout_of_clouds_makes_no_difference_and_faults_are_counted(
+    start, messages, light_bag, tmp_path
+):
+    changes = {LEFT: big_endian_in_padded_rows, RIGHT: unordered_with_rests_and_nan}
+    played = []
+    for item in messages:
+        played.append(item.changed(changes[item.topic]) if item.topic in changes else item)
+    for topic, fault, _, _ in FAULTS:
+        index, victim = [(i, m) for i, m in enumerate(played) if m.topic == topic][1]
+        original = next(item for item in messages if item.logged == victim.logged)
+        played.insert(index, replace(original.changed(fault), topic=topic))
+    session = start()
+    session.play(played)
+    session.finish()
+    for _, _, sensor, reason in FAULTS:
+        assert session.dropped(sensor)[reason] == 1
+    assert session.call('save_map')[0]
+    assert_same_graph(tmp_path / 'saved', map_offline(light_bag, bag_parameters(light_bag)))
+
+
+@pytest.mark.parametrize('missing', [IMU, FIX], ids=['no_imu', 'no_gnss'])
+def test_drive_without(start, messages, missing):
+    session = start({'window': {'lateness': 0.3}})
+    session.play([item for item in messages if item.topic != missing])
+    stats = session.finish()
+    assert stats['components'] == 1
+    kinds = stats['factors_by_kind']
+    assert kinds['odometry'] == 44
+    assert kinds.get('imu', 0) == 0 if missing == IMU else kinds['imu'] > 0
+    assert kinds.get('gnss', 0) == (3 if missing == IMU else 0)
+    assert len(session.received['odometry']) > 20
+
+
+def test_lidar_that_dies_and_returns(start, messages):
+    first = messages[0].logged
+    dead = range(first + 800_000_000, first + 1_600_000_000)
+    played = [item for item in messages if item.topic != LEFT or item.logged not in dead]
+    session = start({'window': {'lateness': 0.3}, 'odometry': {'max_gap': 0.5}})
+    session.play(played)
+    # While it was dead, the windows went on.
+    stats = session.finish()
+    assert stats['components'] == 1
+    assert stats['unused_measurements'] == 0 and stats['dropped'] == {}
+    assert stats['received']['left'] == sum(item.topic == LEFT for item in played)
+    assert stats['notes'] == {'left: gap too long to match': 1}
+    stamps = np.array([stamp_of(message) for message in session.received['odometry']])
+    assert np.diff(stamps).max() < 250_000_000
+
+
+def test_best_effort_publishers_are_heard(start, messages):
+    session = start()
+    session.play(messages[:40], reliable=False)
+    session.wait(lambda: session.arrived().get(IMU, 0) > 20, 'IMU samples')
+
+
+def test_flood_is_shed_in_order_and_nothing_is_lost_unseen(start, messages, tmp_path):
+    session = start({'queue': {'core': 10}, 'time_jump': {'policy': 'ignore'}})
+    session.play(messages, rate=100.0)
+    stats = session.finish(lossless=False)
+    found = session.diagnostics()
+    assert stats['merged_windows'] > 0 or found['left']['dropped'].get('queue_full')
+    assert stats['components'] == 1
+    for sensor in ('left', 'right', 'gnss', 'imu'):
+        lost = sum(found[sensor]['dropped'].values())
+        assert found[sensor]['received'] - lost == stats['received'].get(sensor, 0), sensor
+    assert session.call('save_map')[0]

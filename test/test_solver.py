@@ -1,0 +1,323 @@
+"""Solving, marginals that stand in for the rest of the graph, and the smoother's lag."""
+
+import gtsam
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from incremental_mapper.config import GraphSettings
+from incremental_mapper.graph.factors import (
+    bias_key,
+    inertial_priors,
+    key_name,
+    pose_key,
+    pose_prior,
+    pose_sigmas,
+    velocity_key,
+)
+from incremental_mapper.graph.smoother import Lag, extend, shorten, split_at
+from incremental_mapper.graph.solver import (
+    copy_value,
+    eliminate,
+    follow,
+    make_graph,
+    optimize,
+    squared_error,
+)
+
+SECOND = 1_000_000_000
+FIX_NOISE = gtsam.noiseModel.Isotropic.Sigma(3, 0.5)
+STEP = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.01, -0.02, 0.05), np.array([1.0, 0.1, -0.05]))
+
+
+def odometry(start, end, motion, translation=0.05, rotation=0.01):
+    noise = gtsam.noiseModel.Diagonal.Sigmas(pose_sigmas(translation, rotation))
+    return gtsam.BetweenFactorPose3(pose_key(start), pose_key(end), motion, noise)
+
+
+def noisy(motion, rng, scale=0.02):
+    return motion.retract(rng.normal(scale=scale, size=6))
+
+
+def make_chain(seed, count=6):
+    """Poses in a chain with extra ties, fixes and a velocity, solved; every one determined."""
+    rng = np.random.default_rng(seed)
+    factors = [pose_prior(pose_key(0), gtsam.Pose3(), pose_sigmas(0.1, 0.05), 0).factor]
+    initial = gtsam.Values()
+    pose = gtsam.Pose3()
+    for i in range(count):
+        initial.insert(pose_key(i), noisy(pose, rng))
+        if i:
+            factors.append(odometry(i - 1, i, noisy(STEP, rng)))
+        if i > 1:
+            factors.append(odometry(i - 2, i, noisy(STEP.compose(STEP), rng), 0.2, 0.1))
+        if i % 2:
+            place = pose.translation() + rng.normal(scale=0.3, size=3)
+            factors.append(gtsam.GPSFactor(pose_key(i), place, FIX_NOISE))
+        pose = pose.compose(STEP)
+    solution = optimize(make_graph(factors), initial, 50)
+    assert solution is not None
+    return factors, solution.values
+
+
+def dense(factors, values, keys):
+    """Information matrix and vector over ``keys``, from the plain Jacobian."""
+    ordering = gtsam.Ordering()
+    for key in keys:
+        ordering.push_back(key)
+    jacobian, right = make_graph(factors).linearize(values).jacobian(ordering)
+    return jacobian.T @ jacobian, jacobian.T @ right
+
+
+@settings(deadline=None, max_examples=25)
+@given(st.integers(0, 10_000), st.sets(st.integers(0, 5), min_size=1, max_size=5))
+def test_marginal_of_the_kept_variables_is_that_of_the_whole_graph(seed, kept):
+    factors, values = make_chain(seed)
+    dropped = [pose_key(i) for i in range(6) if i not in kept]
+    split = eliminate(make_graph(factors), values, dropped)
+    smaller = gtsam.Values()
+    for i in kept:
+        copy_value(values, pose_key(i), smaller)
+    whole = gtsam.Marginals(make_graph(factors), values)
+    marginal = gtsam.Marginals(make_graph(split.factors), smaller)
+    for i in kept:
+        expected = whole.marginalCovariance(pose_key(i))
+        found = marginal.marginalCovariance(pose_key(i))
+        assert np.abs(found - expected).max() <= 1e-6 * np.abs(expected).max()
+
+
+@settings(deadline=None, max_examples=25)
+@given(st.integers(0, 10_000), st.sets(st.integers(0, 5), min_size=1, max_size=5))
+def test_dropped_variables_follow_the_kept_ones_as_the_dense_conditional_mean(seed, kept):
+    factors, values = make_chain(seed)
+    rng = np.random.default_rng(seed + 1)
+    # Linearised away from the optimum, so that the steps have a constant part too.
+    for i in range(6):
+        values.update(pose_key(i), noisy(values.atPose3(pose_key(i)), rng))
+    dropped = [pose_key(i) for i in range(6) if i not in kept]
+    kept_keys = [pose_key(i) for i in sorted(kept)]
+    split = eliminate(make_graph(factors), values, dropped)
+    moves = {key: rng.normal(scale=0.05, size=6) for key in kept_keys}
+    solved = gtsam.Values()
+    for key in kept_keys:
+        solved.insert(key, values.atPose3(key).retract(moves[key]))
+    steps = follow(split, solved)
+
+    information, vector = dense(factors, values, [*dropped, *kept_keys])
+    size = 6 * len(dropped)
+    moved = np.concatenate([moves[key] for key in kept_keys])
+    mean = np.linalg.solve(
+        information[:size, :size], vector[:size] - information[:size, size:] @ moved
+    )
+    for i, key in enumerate(dropped):
+        assert steps.at(key) == pytest.approx(mean[6 * i : 6 * i + 6], abs=1e-9)
+
+
+def test_nothing_dropped_keeps_the_whole_graph():
+    factors, values = make_chain(3)
+    split = eliminate(make_graph(factors), values, [])
+    keys = [pose_key(i) for i in range(6)]
+    expected, _ = dense(factors, values, keys)
+    found, _ = dense(split.factors, values, keys)
+    assert found == pytest.approx(expected, rel=1e-9, abs=1e-9)
+
+
+def test_undetermined_variable_is_dropped_without_a_word_on_the_kept_ones():
+    # A fix says nothing about the rotation of the dropped pose.
+    values = gtsam.Values()
+    for i in range(2):
+        values.insert(pose_key(i), gtsam.Pose3())
+    fix = gtsam.GPSFactor(pose_key(1), np.array([1.0, 2.0, 3.0]), FIX_NOISE)
+    held = pose_prior(pose_key(0), gtsam.Pose3(), pose_sigmas(0.5, 0.1), 0).factor
+    split = eliminate(make_graph([held, fix]), values, [pose_key(1)])
+    kept = gtsam.Values()
+    copy_value(values, pose_key(0), kept)
+    marginal = gtsam.Marginals(make_graph(split.factors), kept).marginalCovariance(pose_key(0))
+    assert np.sqrt(np.diag(marginal)) == pytest.approx([0.1] * 3 + [0.5] * 3, rel=1e-6)
+    steps = follow(split, kept).at(pose_key(1))
+    assert steps == pytest.approx([0, 0, 0, 1, 2, 3], abs=1e-5)
+
+
+def test_solution_is_the_optimum_and_its_error_twice_that_of_gtsam():
+    factors, values = make_chain(5)
+    solution = optimize(make_graph(factors), values, 50)
+    graph = make_graph(factors)
+    assert solution.error == pytest.approx(2.0 * graph.error(solution.values), rel=1e-9)
+    assert squared_error(factors, solution.values) == pytest.approx(solution.error, rel=1e-9)
+    _, gradient = dense(factors, solution.values, [pose_key(i) for i in range(6)])
+    assert np.abs(gradient).max() < 1e-3
+
+
+def test_squared_error_is_the_squared_mahalanobis_distance():
+    prior = pose_prior(pose_key(0), gtsam.Pose3(), pose_sigmas(0.5, 0.1), 0).factor
+    values = gtsam.Values()
+    values.insert(pose_key(0), gtsam.Pose3(gtsam.Rot3(), np.array([1.0, 0.0, 0.0])))
+    assert squared_error([prior], values) == pytest.approx((1.0 / 0.5) ** 2)
+
+
+@pytest.mark.parametrize('bad', [np.nan, np.inf])
+def test_measurement_that_is_not_finite_gives_no_solution(bad):
+    factors, values = make_chain(1)
+    motion = gtsam.Pose3(gtsam.Rot3(), np.array([bad, 0.0, 0.0]))
+    assert optimize(make_graph([*factors, odometry(0, 1, motion)]), values, 10) is None
+
+
+def test_initial_value_that_is_not_finite_gives_no_solution():
+    factors, values = make_chain(1)
+    values.update(pose_key(2), gtsam.Pose3(gtsam.Rot3(), np.full(3, np.nan)))
+    assert optimize(make_graph(factors), values, 10) is None
+
+
+def test_missing_initial_value_gives_no_solution():
+    factors, values = make_chain(1)
+    values.erase(pose_key(2))
+    assert optimize(make_graph(factors), values, 10) is None
+
+
+def test_under_constrained_graph_gives_no_solution_or_a_finite_one_that_is_no_worse():
+    # A chain that nothing holds in the map: only the differences are determined.
+    values = gtsam.Values()
+    values.insert(pose_key(0), gtsam.Pose3())
+    values.insert(pose_key(1), gtsam.Pose3(gtsam.Rot3(), np.array([5.0, 0.0, 0.0])))
+    factors = [odometry(0, 1, STEP)]
+    solution = optimize(make_graph(factors), values, 50)
+    if solution is not None:
+        poses = [solution.values.atPose3(pose_key(i)).matrix() for i in range(2)]
+        assert np.isfinite(poses).all()
+        assert solution.error <= squared_error(factors, values)
+        assert poses[1] == pytest.approx(poses[0] @ STEP.matrix(), abs=1e-4)
+
+
+def test_every_kind_of_variable_is_copied_also_under_another_name():
+    source, target = gtsam.Values(), gtsam.Values()
+    source.insert(pose_key(1), STEP)
+    source.insert(velocity_key(1), np.array([1.0, 2.0, 3.0]))
+    source.insert(bias_key(1), gtsam.imuBias.ConstantBias(np.ones(3), np.full(3, 2.0)))
+    for make in (pose_key, velocity_key, bias_key):
+        copy_value(source, make(1), target, make(4))
+    assert target.atPose3(pose_key(4)).equals(STEP, 0.0)
+    assert target.atVector(velocity_key(4)).tolist() == [1.0, 2.0, 3.0]
+    assert target.atConstantBias(bias_key(4)).vector().tolist() == [1, 1, 1, 2, 2, 2]
+    assert key_name(velocity_key(4)) == 'v4'
+
+
+# The smoother over a long chain.
+
+
+def drive(count, seed=0):
+    """Factors and initial values of each cluster of a chain, one cluster every 0.2 s."""
+    rng = np.random.default_rng(seed)
+    true = gtsam.Pose3()
+    guess = gtsam.Pose3()
+    for i in range(count):
+        initial = gtsam.Values()
+        if i == 0:
+            factors = [pose_prior(pose_key(0), true, pose_sigmas(0.1, 0.02), 0).factor]
+        else:
+            motion = noisy(STEP, rng, 0.002)
+            true, guess = true.compose(STEP), guess.compose(motion)
+            factors = [odometry(i - 1, i, motion)]
+        if i % 3 == 0:
+            place = true.translation() + rng.normal(scale=0.02, size=3)
+            factors.append(gtsam.GPSFactor(pose_key(i), place, FIX_NOISE))
+        initial.insert(pose_key(i), guess)
+        yield i, factors, initial
+
+
+def smoothed(count, lag_stamps, keep=()):
+    lag, left, everything = Lag(), {}, []
+    start = gtsam.Values()
+    for i, factors, initial in drive(count):
+        everything.extend(factors)
+        start.insert(initial)
+        lag = extend(lag, factors, initial, {i: i * SECOND // 5}, 20)
+        assert lag.healthy
+        lag, gone = shorten(lag, i * SECOND // 5 - lag_stamps, {i, *keep})
+        for key in gone.keys():  # noqa: SIM118 (no mapping)
+            assert key not in left
+            left[key] = gone.atPose3(key)
+    return lag, left, optimize(make_graph(everything), start, 100).values
+
+
+def test_newest_pose_of_the_lag_is_that_of_the_batch_over_a_long_chain():
+    lag, left, batch = smoothed(80, 2 * SECOND)
+    assert len(left) == 80 - len(lag.clusters)
+    for cluster in lag.clusters:
+        key = pose_key(cluster)
+        error = batch.atPose3(key).localCoordinates(lag.values.atPose3(key))
+        assert np.abs(error).max() < 2e-4
+
+
+def test_what_left_the_lag_is_gone_from_it_for_good():
+    lag, left, _ = smoothed(40, SECOND)
+    held = set(lag.values.keys())
+    assert held.isdisjoint(left)
+    assert {pose_key(cluster) for cluster in lag.clusters} == held
+    for factor in lag.factors:
+        assert set(factor.keys()) <= held
+
+
+def test_lag_stays_small_however_long_the_drive():
+    short, _, _ = smoothed(20, SECOND)
+    long, _, _ = smoothed(80, SECOND)
+    assert len(long.clusters) == len(short.clusters) <= 6
+    assert len(long.factors) <= len(short.factors) + 2
+
+
+def test_cluster_that_is_still_needed_stays_whatever_its_age():
+    lag, left, batch = smoothed(30, SECOND, keep={4})
+    assert 4 in lag.clusters
+    assert pose_key(4) not in left
+    newest = pose_key(29)
+    error = batch.atPose3(newest).localCoordinates(lag.values.atPose3(newest))
+    assert np.abs(error).max() < 2e-4
+
+
+def test_final_values_are_the_last_estimates_inside_the_lag():
+    _, factors, initial = next(iter(drive(1)))
+    lag = extend(Lag(), factors, initial, {0: 0}, 20)
+    before = lag.values.atPose3(pose_key(0))
+    shorter, gone = shorten(lag, 1, ())
+    assert gone.atPose3(pose_key(0)).equals(before, 0.0)
+    assert shorter.values.size() == 0
+
+
+def test_failed_optimisation_keeps_the_initial_values_and_says_so():
+    _, factors, initial = next(iter(drive(1)))
+    bad = pose_prior(
+        pose_key(0), gtsam.Pose3(gtsam.Rot3(), np.full(3, np.nan)), pose_sigmas(1, 1), 0
+    )
+    lag = extend(Lag(), [*factors, bad.factor], initial, {0: 0}, 20)
+    assert not lag.healthy
+    assert lag.values.atPose3(pose_key(0)).equals(initial.atPose3(pose_key(0)), 0.0)
+
+
+def test_empty_lag_has_nothing_to_split_or_shorten():
+    assert split_at(Lag(), []) is None
+    lag, gone = shorten(Lag(), 10, ())
+    assert lag.values is None
+    assert gone.size() == 0
+
+
+def test_frontier_split_off_a_lag_with_velocities_has_the_lag_s_marginal():
+    factors, values = make_chain(9)
+    bias = gtsam.imuBias.ConstantBias()
+    for i in range(6):
+        priors = inertial_priors(i, np.array([1.0, 0.0, 0.0]), 0.5, bias, GraphSettings(), 0)
+        factors += [prior.factor for prior in priors]
+        values.insert(velocity_key(i), np.array([1.0, 0.0, 0.0]))
+        values.insert(bias_key(i), bias)
+    lag = Lag(tuple(factors), values, {i: i for i in range(6)})
+    kept = [pose_key(5), velocity_key(5), bias_key(5)]
+    split = split_at(lag, kept)
+    assert {key for factor in split.factors for key in factor.keys()} == set(kept)  # noqa: SIM118
+    whole = gtsam.Marginals(make_graph(factors), values)
+    smaller = gtsam.Values()
+    for key in kept:
+        copy_value(values, key, smaller)
+    marginal = gtsam.Marginals(make_graph(split.factors), smaller)
+    for key in kept:
+        assert marginal.marginalCovariance(key) == pytest.approx(
+            whole.marginalCovariance(key), rel=1e-6, abs=1e-12
+        )

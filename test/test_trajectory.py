@@ -1,0 +1,146 @@
+"""Trajectories: exact stamps through files, interpolation, and lines that are no poses."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from incremental_mapper.errors import InputError
+from incremental_mapper.trajectory import Trajectory, from_matrices, read_tum, write_tum
+
+SECOND = 1_000_000_000
+EPOCH = 1_544_676_777_123_456_789
+
+stamp_lists = st.lists(
+    st.integers(0, 2**62) | st.integers(EPOCH, EPOCH + 1000), min_size=1, max_size=6, unique=True
+)
+
+
+def turned(stamps, positions, yaws):
+    return Trajectory(
+        np.array(stamps, dtype=np.int64),
+        np.array(positions, dtype=float),
+        Rotation.from_euler('z', np.array(yaws)[:, None]).as_quat().reshape(-1, 4),
+    )
+
+
+@given(stamp_lists, st.integers(0, 1000))
+def test_stamps_keep_every_nanosecond_through_a_file(tmp_path_factory, stamps, seed):
+    rng = np.random.default_rng(seed)
+    count = len(stamps)
+    path = tmp_path_factory.mktemp('tum') / 'trajectory.tum'
+    written = Trajectory(
+        np.array(sorted(stamps), dtype=np.int64),
+        rng.normal(scale=1000, size=(count, 3)),
+        Rotation.random(count, rng=rng).as_quat(),
+    )
+    write_tum(path, written)
+    read = read_tum(path)
+    assert read.stamps.tolist() == sorted(stamps)
+    # Nine decimals are written.
+    assert read.positions == pytest.approx(written.positions, abs=1e-9)
+    assert read.quaternions == pytest.approx(written.quaternions, abs=3e-9)
+
+
+def test_position_is_interpolated_linearly_and_rotation_by_the_angle():
+    track = turned(
+        [EPOCH, EPOCH + SECOND, EPOCH + 3 * SECOND],
+        [[0, 0, 0], [4, 0, 2], [4, 6, 2]],
+        [0.0, 1.0, -1.0],
+    )
+    at = track.interpolate(np.array([EPOCH + SECOND // 4, EPOCH + 2 * SECOND]))
+    assert at.positions == pytest.approx(np.array([[1, 0, 0.5], [4, 3, 2]]), abs=1e-9)
+    yaws = at.rotations().as_euler('zyx')[:, 0]
+    assert yaws == pytest.approx([0.25, 0.0], abs=1e-9)
+
+
+def test_rotation_is_interpolated_the_short_way_round():
+    track = turned([0, SECOND], np.zeros((2, 3)), [np.pi - 0.1, -np.pi + 0.1])
+    middle = track.interpolate(np.array([SECOND // 2])).rotations().as_matrix()[0]
+    assert middle == pytest.approx(Rotation.from_euler('z', np.pi).as_matrix(), abs=1e-9)
+
+
+def test_interpolation_at_its_own_stamps_changes_nothing():
+    stamps = EPOCH + np.array([0, 1, 17, SECOND])
+    track = turned(stamps, np.arange(12).reshape(4, 3), [0.1, 0.2, 0.3, 0.4])
+    same = track.interpolate(track.stamps)
+    assert same.positions == pytest.approx(track.positions, abs=1e-12)
+    assert same.matrices() == pytest.approx(track.matrices(), abs=1e-9)
+
+
+def test_stamp_outside_is_not_extrapolated():
+    track = turned([10, 20], np.zeros((2, 3)), [0, 0])
+    stamps = np.array([9, 10, 15, 20, 21])
+    assert track.covers(stamps).tolist() == [False, True, True, True, False]
+    for stamp in (9, 21):
+        with pytest.raises(ValueError, match='outside'):
+            track.interpolate(np.array([stamp]))
+
+
+def test_trajectory_of_one_pose_covers_its_own_stamp_only():
+    track = turned([10], [[1, 2, 3]], [0.5])
+    assert track.interpolate(np.array([10, 10])).positions.tolist() == [[1, 2, 3]] * 2
+    assert track.covers(np.array([9, 10, 11])).tolist() == [False, True, False]
+
+
+def test_empty_trajectory_covers_nothing():
+    empty = from_matrices(np.zeros(0, dtype=np.int64), np.zeros((0, 4, 4)))
+    assert len(empty) == 0
+    assert empty.covers(np.array([1])).tolist() == [False]
+    assert len(empty.interpolate(np.zeros(0, dtype=np.int64))) == 0
+
+
+def test_matrices_there_and_back_in_order_of_stamps():
+    track = turned([3, 7, 9], [[1, 0, 0], [2, 0, 0], [3, 0, 0]], [0.1, 0.2, 0.3])
+    order = [2, 0, 1]
+    mended = from_matrices(track.stamps[order], track.matrices()[order])
+    assert mended.stamps.tolist() == [3, 7, 9]
+    assert mended.matrices() == pytest.approx(track.matrices(), abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    'line',
+    [
+        '1.5 1 2 3 0 0 0',
+        '1.5 1 2 3 0 0 0 1 9',
+        '1.5 1 2 drei 0 0 0 1',
+        'soon 1 2 3 0 0 0 1',
+        '1.5 1 nan 3 0 0 0 1',
+        '1.5 1 2 3 0 0 0 0',
+        '1.5,1,2,3,0,0,0,1',
+    ],
+)
+def test_malformed_line_is_named_with_its_number_and_content(tmp_path, line):
+    path = tmp_path / 'bad.tum'
+    path.write_text(f'# stamp x y z qx qy qz qw\n1.0 0 0 0 0 0 0 1\n{line}\n')
+    with pytest.raises(InputError) as caught:
+        read_tum(path)
+    assert str(path) in str(caught.value)
+    assert 'line 3' in str(caught.value)
+    assert line in str(caught.value)
+
+
+def test_comments_empty_lines_and_short_stamps_are_read(tmp_path):
+    path = tmp_path / 'loose.tum'
+    path.write_text('# comment\n\n5 1 2 3 0 0 0 2\n4.25 0 0 0 0 0 0 1\n')
+    track = read_tum(path)
+    assert track.stamps.tolist() == [4_250_000_000, 5_000_000_000]
+    assert track.quaternions[1].tolist() == [0, 0, 0, 1]
+
+
+@pytest.mark.parametrize('text', ['', '# nothing here\n'])
+def test_file_without_a_pose_is_rejected(tmp_path, text):
+    path = tmp_path / 'none.tum'
+    path.write_text(text)
+    with pytest.raises(InputError, match='holds no pose'):
+        read_tum(path)
+
+
+def test_missing_and_binary_files_are_named(tmp_path):
+    binary = tmp_path / 'cloud.bin'
+    binary.write_bytes(bytes(range(128, 256)))
+    for path in (tmp_path / 'gone.tum', binary):
+        with pytest.raises(InputError, match='cannot be read') as caught:
+            read_tum(path)
+        assert str(path) in str(caught.value)
