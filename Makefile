@@ -29,7 +29,7 @@ $(INSTALLED): setup.py setup.cfg pyproject.toml
 		{ echo "$(PYTHON) is $$($(PYTHON) -V 2>&1), 3.11 or later is needed; name another with" \
 		'make PYTHON=python3.12' >&2; exit 1; }
 	@test -x $(BIN)/pip || $(PYTHON) -m venv --clear .venv
-	$(BIN)/python -m pip install --quiet --editable '.[sim,report,test]'
+	$(BIN)/python -m pip install --quiet --editable '.[ros,sim,report,test]'
 	@touch $@
 
 demo: $(INSTALLED)

@@ -5,7 +5,7 @@ from pathlib import Path
 from setuptools import find_packages, setup
 
 NAME = 'incremental_mapper'
-SETTINGS = sorted(str(path) for path in Path('config').glob('*.yaml'))
+SETTINGS = sorted(str(path) for path in Path('config').iterdir())
 
 SIMULATION = ['embreex>=2.17.7.post4']
 PICTURES = ['matplotlib>=3.8']
@@ -55,6 +55,11 @@ setup(
         'report': PICTURES,
         'test': TESTS,
     },
-    entry_points={'console_scripts': [f'{NAME} = {NAME}.cli.main:main']},
+    entry_points={
+        'console_scripts': [
+            f'{NAME} = {NAME}.cli.main:main',
+            f'mapper_node = {NAME}.ros.node:main',
+        ]
+    },
     zip_safe=False,
 )

@@ -5,7 +5,7 @@ import sys
 from collections.abc import Sequence
 
 from incremental_mapper import __version__
-from incremental_mapper.cli import convert, map_drive, simulate
+from incremental_mapper.cli import convert, map_drive, play, simulate
 from incremental_mapper.errors import MapperError
 
 EXIT_FAILURE = 1
@@ -23,7 +23,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument('--version', action='version', version=f'%(prog)s {__version__}')
     subparsers = parser.add_subparsers(required=True, metavar='COMMAND')
-    for command in (simulate, convert, map_drive):
+    for command in (simulate, convert, map_drive, play):
         command.add_parser(subparsers)
     return parser
 

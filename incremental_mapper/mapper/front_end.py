@@ -99,7 +99,7 @@ class FrontEnd:
             usable=link.usable,
         )
 
-    def _place(self, scan: LidarScan, twist: Twist) -> BaseScan:
+    def _place(self, scan: LidarScan, twist: Twist, at_stamp: bool) -> BaseScan:
         """A raw scan in base_link, deskewed by ``twist`` if the settings say so."""
         settings = self._config.odometry
         return to_base(
@@ -109,4 +109,5 @@ class FrontEnd:
             settings.max_range,
             self._config.map.voxel_size,
             twist if settings.deskew else None,
+            at_stamp,
         )

@@ -20,8 +20,8 @@ MAX_REJECTED = 3
 RESTARTS = 4
 """Rounds in which the first two scans and their motion are brought to agree."""
 
-Placer = Callable[[LidarScan, Twist], BaseScan]
-"""Moves a raw scan into base_link, deskewed by a twist."""
+Placer = Callable[[LidarScan, Twist, bool], BaseScan]
+"""Moves a raw scan into base_link, deskewed by a twist, at its stamp or at its sweep's middle."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,7 +39,11 @@ class ChainLink:
 
 
 class LidarChain:
-    """Matches the scans of one LiDAR; remembers its last good scan and the motion then."""
+    """Matches the scans of one LiDAR; remembers its last good scan and the motion then.
+
+    Scans are matched at the middle of their sweeps. At the stamp, an error of the twist would
+    shift the cloud; the shift would be taken for motion and would never quite die out.
+    """
 
     def __init__(
         self, name: str, settings: OdometrySettings, place: Placer, notes: Counter[str]
@@ -53,6 +57,7 @@ class LidarChain:
     def _begin(self) -> None:
         self._matcher = make_matcher(self._settings)
         self._twist = STANDING
+        self._moment = 0.0  # middle of the last sweep, seconds after its stamp
         self._stamp: int | None = None
         self._first: LidarScan | None = None  # until the motion is known
         self._matched = False
@@ -61,20 +66,20 @@ class LidarChain:
     def add(self, scan: LidarScan) -> ChainLink:
         """Match the next scan to the last good one."""
         settings = self._settings
-        base = self._place(scan, self._twist)
+        base = self._place(scan, self._twist, False)
         if len(base.thinned) < settings.min_points:
             if len(base.points):
                 self._note('too few points to match')
-            return ChainLink(base, usable=False)
+            return ChainLink(self._at_stamp(scan, base), usable=False)
         gap = None if self._stamp is None else (scan.stamp - self._stamp) / NANOSECONDS
         if gap is not None and not 0.0 < gap <= settings.max_gap:
             self._note('gap too long to match')
             self._begin()
-            gap, base = None, self._place(scan, self._twist)
+            gap, base = None, self._place(scan, self._twist, False)
         if gap is None:
             self._matcher.match(base.points, gtsam.Pose3())
-            self._stamp, self._first = scan.stamp, scan
-            return ChainLink(base)
+            self._stamp, self._moment, self._first = scan.stamp, base.moment, scan
+            return ChainLink(self._at_stamp(scan, base))
         if not self._matched:
             return self._first_match(scan, base, gap)
         return self._next_match(scan, base, gap)
@@ -89,8 +94,8 @@ class LidarChain:
                 break
             before = motion
             self._matcher = make_matcher(self._settings)
-            self._matcher.match(self._place(self._first, self._twist).points, gtsam.Pose3())
-            base = self._place(scan, self._twist)
+            self._matcher.match(self._place(self._first, self._twist, False).points, gtsam.Pose3())
+            base = self._place(scan, self._twist, False)
             motion = self._accept(base, gap)
             if motion is not None and before.equals(motion, 0.005):
                 break
@@ -104,8 +109,8 @@ class LidarChain:
 
     def _accept(self, base: BaseScan, gap: float) -> gtsam.Pose3 | None:
         """Match a scan; None where the match is not to be believed, else the twist follows it."""
-        guess = gtsam.Pose3.Expmap(np.concatenate([self._twist.angular, self._twist.linear]) * gap)
-        match = self._matcher.match(base.points, guess)
+        gap += base.moment - self._moment
+        match = self._matcher.match(base.points, self._twist.over(gap))
         if match is None or match.overlap < self._settings.min_overlap:
             return None
         tangent = gtsam.Pose3.Logmap(match.T_previous_current) / gap
@@ -113,13 +118,14 @@ class LidarChain:
         surprise = float(np.linalg.norm(twist.linear - self._twist.linear)) * gap
         if self._matched and surprise > MAX_SURPRISE:
             return None
-        self._twist = twist
-        return match.T_previous_current
+        before, self._twist = self._twist if self._matched else twist, twist
+        start, end = before.over(self._moment), twist.over(-base.moment)
+        return start.compose(match.T_previous_current).compose(end)
 
     def _continue(self, scan: LidarScan, base: BaseScan, motion: gtsam.Pose3) -> ChainLink:
-        previous, self._stamp = self._stamp, scan.stamp
+        previous, self._stamp, self._moment = self._stamp, scan.stamp, base.moment
         self._matched, self._rejected, self._first = True, 0, None
-        return ChainLink(base, previous, motion)
+        return ChainLink(self._at_stamp(scan, base), previous, motion)
 
     def _reject(self, scan: LidarScan) -> ChainLink:
         """Start anew at this scan, with the motion that was known before."""
@@ -128,10 +134,14 @@ class LidarChain:
         self._begin()
         if rejected < MAX_REJECTED:
             self._twist, self._matched, self._rejected = twist, matched, rejected
-        base = self._place(scan, self._twist)
+        base = self._place(scan, self._twist, False)
         self._matcher.match(base.points, gtsam.Pose3())
-        self._stamp, self._first = scan.stamp, scan
-        return ChainLink(base)
+        self._stamp, self._moment, self._first = scan.stamp, base.moment, scan
+        return ChainLink(self._at_stamp(scan, base))
+
+    def _at_stamp(self, scan: LidarScan, base: BaseScan) -> BaseScan:
+        """The scan as its stamp has it; without point times that is how it was matched."""
+        return base if scan.point_times is None else self._place(scan, self._twist, True)
 
     def _note(self, text: str) -> None:
         self._notes[f'{self._name}: {text}'] += 1

@@ -57,7 +57,7 @@ class SceneBuilder:
             fixed=thin(np.vstack([np.zeros((0, 3)), *settled]), voxel),
             moving=moving,
             reference=poses[0],
-            margin=_margin(poses),
+            margin=_margin(poses, bool(self._settled)),
             fresh=len(self._new),
             origin=states[max(states)].pose.translation(),
         )
@@ -90,11 +90,12 @@ class SceneBuilder:
         return self._state.pose(scan.cluster).compose(scan.T_cluster_scan)
 
 
-def _margin(poses: Sequence[NDArray[np.float64]]) -> float:
+def _margin(poses: Sequence[NDArray[np.float64]], settled: bool) -> float:
     """How far, in metres, any candidate moves two scans against each other near the car.
 
-    What moves all scans alike changes no neighbourhood. The motion is affine in the place, so
-    the corners of a box around the car tell the largest one.
+    What moves all scans alike changes no neighbourhood, unless there are ``settled`` ones that
+    stay. The motion is affine in the place, so the corners of a box around the car tell the
+    largest one.
     """
     reference = poses[0]
     centre = reference[0, :3, 3]
@@ -102,7 +103,10 @@ def _margin(poses: Sequence[NDArray[np.float64]]) -> float:
     back = np.linalg.inv(reference)
     largest = 0.0
     for other in poses[1:]:
-        moved = np.einsum('sij,cj->sci', other @ back, corners)[:, :, :3]
+        motions = other @ back
+        if settled:
+            motions = np.concatenate([motions, np.eye(4)[None]])
+        moved = np.einsum('sij,cj->sci', motions, corners)[:, :, :3]
         spans = moved.max(axis=0) - moved.min(axis=0)
         largest = max(largest, float(np.linalg.norm(spans, axis=1).max()))
     return float(np.clip(largest, *MARGINS))

@@ -68,6 +68,8 @@ class Health:
             message = 'paused'
         elif received == 0:
             level, message = DiagnosticStatus.WARN, 'no message yet'
+        elif self._inputs.lost[sensor] > 0:
+            level, message = DiagnosticStatus.WARN, f'{self._inputs.lost[sensor]} messages lost'
         elif behind is None:
             level, message = DiagnosticStatus.WARN, 'no usable message yet'
         elif behind > self._worker.config.window.lateness and sensor != GNSS:
@@ -77,6 +79,7 @@ class Health:
             'received': received,
             'rate_hz': round(rate, 2),
             'behind_s': behind,
+            'lost_in_transport': self._inputs.lost[sensor],
             'dropped': dict(drops),
         }
         return status(f'{self._name}: {sensor}', level, message, values)

@@ -26,11 +26,6 @@ from incremental_mapper.trajectory import NANOSECONDS
 IMU, GNSS = 'imu', 'gnss'
 
 
-QUIET = SubscriptionEventCallbacks(use_default_callbacks=False)
-"""No publisher is incompatible with what is asked for here, and every event that the executor
-waits for costs time with every message."""
-
-
 @dataclass(frozen=True, slots=True)
 class _Stream:
     """A kind of message, what makes measurements of it, and how many may wait."""
@@ -54,6 +49,7 @@ class Inputs:
     def __init__(self, node: Node, config: Config, hand_on: Callable[[Measurement], None]) -> None:
         self.paused = False
         self.received: Counter[str] = Counter()
+        self.lost: Counter[str] = Counter()  # by the middleware, before any callback
         self.topics: dict[str, str] = {}
         self._logger = node.get_logger()
         self._hand_on = hand_on
@@ -112,8 +108,14 @@ class Inputs:
         def on_message(message: Any) -> None:
             self._on_message(name, lambda: stream.make(message, name, offset), message)
 
+        def on_lost(status: Any) -> None:
+            self.lost[name] += status.total_count_change
+
+        # No publisher is incompatible with best effort, and every event that the executor waits
+        # for costs time with every message, so none but this one.
+        events = SubscriptionEventCallbacks(message_lost=on_lost, use_default_callbacks=False)
         subscription = node.create_subscription(
-            stream.kind, sensor.topic or topic, on_message, qos, event_callbacks=QUIET
+            stream.kind, sensor.topic or topic, on_message, qos, event_callbacks=events
         )
         self.topics[name] = subscription.topic_name
         return subscription

@@ -70,13 +70,11 @@ class Outputs:
         def publish(kind: type, topic: str, qos: QoSProfile) -> Any:
             return node.create_publisher(kind, topic, qos, event_callbacks=QUIET)
 
-        window = reliable(WINDOW_DEPTH)
+        window, every_window = reliable(WINDOW_DEPTH), reliable(WINDOW_DEPTH, latched=True)
         self._odometry = publish(Odometry, '~/odometry', window)
         self._poses = publish(PoseArray, '~/poses', window)
         self._increment = publish(PointCloud2, '~/map_increment', window)
-        self._stats = publish(
-            DiagnosticArray, '~/graph_stats', reliable(WINDOW_DEPTH, latched=True)
-        )
+        self._stats = publish(DiagnosticArray, '~/graph_stats', every_window)
         latched = reliable(1, latched=True)
         self._views = {
             View.MAP: _Shown(publish(PointCloud2, '~/map', latched)),

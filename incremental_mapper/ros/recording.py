@@ -94,7 +94,7 @@ class Recording:
             count += 1
             if not self._reader.is2:
                 try:
-                    data = self._converters[connection.msgtype](data)
+                    data = bytes(self._converters[connection.msgtype](data))
                 except Exception:
                     self.unreadable += 1
                     continue

@@ -1,8 +1,9 @@
 """Gathers measurements into windows by their header stamps (paper, section Methodology).
 
 A window is closed once every live sensor has passed its end, or once the newest stamp is
-``lateness`` beyond it. The time of arrival plays no part, so the windows do not depend on the
-order in which messages came in, as long as none is later than that.
+``lateness`` beyond it. The time of arrival plays no part, so the windows do not depend on how
+the sensors' messages were interleaved, as long as each sensor's own come in order and none is
+later than that.
 """
 
 from collections import Counter
