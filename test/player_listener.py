@@ -65,3 +65,13 @@ class Listener:
         while any(len(self.got[name]) < count for name, count in counts.items()):
             assert time.monotonic() < end, f'{self.counts} of {counts} messages'
             time.sleep(0.01)
+
+    def wait_for_rest(self, seconds=20.0):
+        """Wait until nothing has come for a second; returns the counts then."""
+        end = time.monotonic() + seconds
+        while True:
+            before = self.counts
+            time.sleep(1.0)
+            if self.counts == before:
+                return before
+            assert time.monotonic() < end, f'still messages: {before}, {self.counts}'

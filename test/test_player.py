@@ -1,5 +1,6 @@
 """Bags that are played into real DDS topics and heard by a subscriber in this process."""
 
+import sqlite3
 import time
 from functools import partial
 from pathlib import Path
@@ -369,6 +370,40 @@ def test_damaged_bag_is_played_up_to_the_damage(tmp_path):
         with pytest.raises(InputError, match=r'bag: damaged after \d+ messages'):
             player.play()
         assert 0 < player.report.messages < 20_000
+
+
+def test_messages_that_the_bag_lost_are_counted(tmp_path):
+    path = write_bag(tmp_path / 'bag', plugin=StoragePlugin.SQLITE3)
+    with sqlite3.connect(next(path.glob('*.db3'))) as database:
+        database.execute('DELETE FROM messages WHERE id % 10 = 0')
+    player = play(path, PlayOptions(rate=50.0, wait=0.0))
+    assert (player.report.messages, player.report.missing) == (53, 5)
+    assert str(player.report).endswith('5 more announced but missing')
+
+
+def test_ros1_message_that_is_cut_short_is_counted(tmp_path):
+    path = tmp_path / 'old.bag'
+    with Writer1(path) as writer:
+        connection = writer.add_connection('/imu', IMU, typestore=STORES[1])
+        data = bytes(STORES[1].serialize_ros1(message(IMU, START, ros=1), IMU))
+        for index, part in enumerate([data, data[:-9], data]):
+            writer.write(connection, START + index, part)
+    player = play(path, PlayOptions(wait=0.0))
+    assert (player.report.messages, player.report.unreadable) == (2, 1)
+    assert player.report.missing == 0
+    assert '1 unreadable' in str(player.report)
+
+
+def test_a_subscriber_that_hangs_ends_the_playing(tmp_path, monkeypatch):
+    class Full:
+        def publish(self, data):
+            raise RuntimeError('cannot publish data')
+
+    monkeypatch.setattr(player_module, '_STUCK', 0.2)
+    with open_player(write_bag(tmp_path / 'bag'), PlayOptions(), Patience()) as player:
+        player._publishers = dict.fromkeys(player._publishers, Full())
+        with pytest.raises(InputError, match=r'no message could be published.*cannot publish'):
+            player.play()
 
 
 def test_nobody_listens(tmp_path):

@@ -153,10 +153,7 @@ def test_space_pauses_on_a_terminal(bag, listener):
         terminal.read_until('play:')
         terminal.press(b'x ')
         terminal.read_until('paused:')
-        time.sleep(0.5)
-        resting = listener.counts
-        time.sleep(0.5)
-        assert listener.counts == resting
+        resting = listener.wait_for_rest()
         terminal.press(b' ')
         listener.wait_for({'/imu': resting['/imu'] + 20})
         terminal.press(b'\x03')

@@ -14,7 +14,7 @@ from tqdm import tqdm
 from incremental_mapper.cli.keyboard import Keyboard
 from incremental_mapper.errors import InputError
 
-BAR = '{desc}: {percentage:3.0f}%|{bar}| {n:.1f}/{total:.1f} s [{elapsed}<{remaining}]'
+BAR_FORMAT = '{desc}: {percentage:3.0f}%|{bar}| {n:.1f}/{total:.1f} s [{elapsed}<{remaining}]'
 
 
 def add_parser(subparsers: Any) -> None:
@@ -116,8 +116,10 @@ class _Terminal:
     def show(self, done: float, total: float, paused: bool) -> None:
         """Draw the bar; times are seconds of the bag."""
         if self._bar is None:
-            # None shows the bar on a terminal only.
-            self._bar = tqdm(total=total, disable=None, bar_format=BAR)
+            # disable=None shows the bar on a terminal only, miniters=0 also while nothing moves.
+            self._bar = tqdm(
+                desc='play', total=total, disable=None, miniters=0, bar_format=BAR_FORMAT
+            )
         if done < self._bar.n:  # another round
             self._bar.reset(total)
         self._bar.set_description_str('paused' if paused else 'play', refresh=False)

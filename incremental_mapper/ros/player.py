@@ -227,8 +227,10 @@ class Player:
         before = report.messages + self._recording.unreadable
         # A short break comes before every round but the first.
         lead = _ROUND_GAP * self._options.rate if report.rounds > 1 else 0.0
-        pace = Pace(self._options.rate, self._first - round(lead * NANOSECONDS))
+        pace = None
         for name, stamp, data in self._messages():
+            # Time starts to run when the first message has been read.
+            pace = pace or Pace(self._options.rate, self._first - round(lead * NANOSECONDS))
             self._wait(pace, stamp)
             late = -pace.left(stamp)
             self._publish(name, data)
