@@ -16,8 +16,11 @@ from incremental_mapper.candidates.enumeration import connect
 from incremental_mapper.candidates.partitions import Element, make_cluster
 from incremental_mapper.candidates.spans import ImuStamps
 
-_Entry: TypeAlias = tuple[int, int, int, int, int | None, tuple[Cluster, ...], tuple[int, ...]]
-"""Bound, -position, tie-breaker, position, stamp of the last node, clusters, nodes."""
+_Links: TypeAlias = tuple[tuple[int, int], ...]
+_Entry: TypeAlias = tuple[
+    int, int, int, int, int | None, tuple[Cluster, ...], tuple[int, ...], _Links
+]
+"""Bound, -position, tie-breaker, position, stamp of the last node, clusters, nodes, links."""
 
 
 def by_time_shift(
@@ -33,11 +36,18 @@ def by_time_shift(
         return make_cluster(parts, first, last)
 
     @cache
+    def sample(start: int | None, end: int) -> int | None:
+        return None if start is None else imu.first_sample(start, end)
+
     def shift(start: int | None, end: int) -> int:
-        if start is None:
-            return 0
-        sample = imu.first_sample(start, end)
-        return 0 if sample is None else sample - start
+        first = sample(start, end)
+        return 0 if start is None or first is None else first - start
+
+    @cache
+    def useful(node: int | None, position: int) -> int | None:
+        # A node that nothing later can be connected to is as good as none.
+        later = (parts[index][0].stamp for index in range(position, length))
+        return node if any(sample(node, stamp) is not None for stamp in later) else None
 
     def steps(position: int, node: int | None) -> Iterator[tuple[int, Cluster, bool, int]]:
         # One more cluster: where it ends, itself, whether the chain visits it, and the cost.
@@ -60,24 +70,25 @@ def by_time_shift(
         )
 
     order = count()
-    seen: set[tuple[tuple[tuple[int, int], ...], tuple[tuple[int, int], ...]]] = set()
+    # Where IMU samples are missing, many chains of nodes make the same connections: each is
+    # followed once, else their number would grow without bound.
+    seen: set[tuple[int | None, tuple[tuple[int, int], ...], _Links]] = set()
     start_nodes = () if head is None else (HEAD,)
-    heap: list[_Entry] = [(cheapest(0, head), 0, next(order), 0, head, (), start_nodes)]
+    heap: list[_Entry] = [(cheapest(0, head), 0, next(order), 0, head, (), start_nodes, ())]
     while heap:
-        bound, _, _, position, node, clusters, nodes = heapq.heappop(heap)
+        bound, _, _, position, node, clusters, nodes, links = heapq.heappop(heap)
+        bounds = tuple((cluster.first, cluster.last) for cluster in clusters)
+        key = (useful(node, position), bounds, links)
+        if key in seen:
+            continue
+        seen.add(key)
         if position == length:
-            candidate = connect(clusters, nodes, head, imu)
-            key = (
-                tuple((cluster.first, cluster.last) for cluster in clusters),
-                tuple((link.start, link.end) for link in candidate.connections),
-            )
-            if key not in seen:
-                seen.add(key)
-                yield candidate
+            yield connect(clusters, nodes, head, imu)
             continue
         spent = bound - cheapest(position, node)
         for after, merged, visited, cost in steps(position, node):
             onward = merged.stamp if visited else node
+            linked = visited and sample(node, merged.stamp) is not None
             heapq.heappush(
                 heap,
                 (
@@ -88,5 +99,6 @@ def by_time_shift(
                     onward,
                     (*clusters, merged),
                     (*nodes, len(clusters)) if visited else nodes,
+                    (*links, (nodes[-1], len(clusters))) if linked else links,
                 ),
             )

@@ -105,8 +105,19 @@ class Inputs:
             reliability=ReliabilityPolicy.BEST_EFFORT,
         )
 
-        def on_message(message: Any) -> None:
+        def take_in(message: Any) -> None:
             self._on_message(name, lambda: stream.make(message, name, offset), message)
+
+        def on_message(message: Any) -> None:
+            take_in(message)
+            # The executor brings one message a round, and a round costs more than a message.
+            # What waits behind it is taken at once, before the middleware overwrites it.
+            with subscription.handle:
+                for _ in range(stream.depth):
+                    waiting = subscription.handle.take_message(stream.kind, False)
+                    if waiting is None:
+                        break
+                    take_in(waiting[0])
 
         def on_lost(status: Any) -> None:
             self.lost[name] += status.total_count_change

@@ -3,7 +3,7 @@
 import importlib
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -20,6 +20,7 @@ from rosgraph_msgs.msg import Clock
 from incremental_mapper.datasets.topics import describe_topics
 from incremental_mapper.errors import InputError
 from incremental_mapper.ros.pace import Pace
+from incremental_mapper.ros.read_ahead import read_ahead
 from incremental_mapper.ros.recording import RecordedTopic, Recording
 from incremental_mapper.trajectory import NANOSECONDS
 
@@ -34,6 +35,8 @@ _SETTLED = 0.5
 """Seconds without a new subscription after which no more are expected."""
 _ROUND_GAP = 0.1
 """Seconds between two rounds of a loop; keeps a bag of one message from flooding."""
+_AHEAD = 50
+"""Messages that are read before they are due."""
 _STUCK = 30.0
 """Seconds without room for one message; DDS forgets a dead subscriber after 20."""
 _ACKNOWLEDGED = 10.0
@@ -211,7 +214,7 @@ class Player:
             return None
 
     def _first_stamp(self) -> int:
-        for _, stamp, _ in self._messages():
+        for _, stamp, _ in self._messages(self._recording):
             return stamp
         raise InputError(
             f'{self._recording.path}: has no message to play between '
@@ -219,27 +222,37 @@ class Player:
             f'{(self._stop - self._recording.start) / NANOSECONDS:g} s of the bag'
         )
 
-    def _messages(self) -> Iterator[tuple[str, int, bytes]]:
-        return self._recording.messages(self._publishers, self._start, self._stop)
+    def _messages(self, recording: Recording) -> Iterator[tuple[str, int, bytes | None]]:
+        return recording.messages(self._publishers, self._start, self._stop)
+
+    def _read(self) -> Iterator[tuple[str, int, bytes | None]]:
+        """The messages, from a reader of their own: SQLite ties a reader to its thread."""
+        with Recording(self._recording.path) as recording:
+            yield from self._messages(recording)
 
     def _play_round(self) -> None:
         report = self.report
-        before = report.messages + self._recording.unreadable
+        found = 0
         # A short break comes before every round but the first.
         lead = _ROUND_GAP * self._options.rate if report.rounds > 1 else 0.0
         pace = None
-        for name, stamp, data in self._messages():
-            # Time starts to run when the first message has been read.
-            pace = pace or Pace(self._options.rate, self._first - round(lead * NANOSECONDS))
-            self._wait(pace, stamp)
-            late = -pace.left(stamp)
-            self._publish(name, data)
-            report.messages += 1
-            report.late_sum += late
-            report.late_most = max(report.late_most, late)
-        report.unreadable = self._recording.unreadable
+        # Bags are read in chunks, which take tens of milliseconds.
+        with closing(read_ahead(self._read, _AHEAD)) as messages:
+            for name, stamp, data in messages:
+                # Time starts to run when the first message has been read.
+                pace = pace or Pace(self._options.rate, self._first - round(lead * NANOSECONDS))
+                found += 1
+                if data is None:
+                    report.unreadable += 1
+                    continue
+                self._wait(pace, stamp)
+                late = -pace.left(stamp)
+                self._publish(name, data)
+                report.messages += 1
+                report.late_sum += late
+                report.late_most = max(report.late_most, late)
         if self._start <= self._recording.start and self._stop == self._recording.end:
-            report.missing += self._announced - (report.messages + report.unreadable - before)
+            report.missing += self._announced - found
 
     def _wait(self, pace: Pace, stamp: int) -> None:
         """Wait until ``stamp`` is due; obeys the user and keeps /clock going meanwhile."""

@@ -38,8 +38,6 @@ class Recording:
     def __init__(self, path: Path) -> None:
         """Open the bag; raises InputError where it cannot be read."""
         self.path = path
-        self.unreadable = 0
-        """Messages so far that could not be made ROS 2 messages."""
         try:
             self._reader = AnyReader(
                 bag_files(path), default_typestore=get_typestore(Stores.ROS2_JAZZY)
@@ -71,9 +69,10 @@ class Recording:
 
     def messages(
         self, names: Collection[str], start: int, stop: int
-    ) -> Iterator[tuple[str, int, bytes]]:
+    ) -> Iterator[tuple[str, int, bytes | None]]:
         """(topic, stamp, CDR) of the topics' messages with ``start`` <= stamp < ``stop``.
 
+        Without CDR come messages of ROS 1 that are damaged.
         Raises InputError where the bag is damaged, after the messages before the damage.
         """
         connections = [c for c in self._reader.connections if c.topic in names]
@@ -92,13 +91,16 @@ class Recording:
                     f'{self.path}: damaged after {count} messages ({_reason(error)})'
                 ) from error
             count += 1
-            if not self._reader.is2:
-                try:
-                    data = bytes(self._converters[connection.msgtype](data))
-                except Exception:
-                    self.unreadable += 1
-                    continue
-            yield connection.topic, stamp, bytes(data)
+            yield connection.topic, stamp, self._cdr(connection.msgtype, data)
+
+    def _cdr(self, name: str, data: bytes) -> bytes | None:
+        if self._reader.is2:
+            return bytes(data)
+        try:
+            return bytes(self._converters[name](data))
+        # On damaged data the converter raises whatever it stumbles over.
+        except Exception:
+            return None
 
     def _ros1_converters(self) -> dict[str, Converter]:
         """How the bytes of every ROS 1 type become CDR of the ROS 2 type of that name."""
