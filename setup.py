@@ -38,6 +38,7 @@ setup(
         (f'share/{NAME}/config', SETTINGS),
     ],
     install_requires=[
+        'annotated-types>=0.6',
         'gtsam>=4.3',
         'kiss-icp>=1.3',
         'numpy>=1.26',
