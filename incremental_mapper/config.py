@@ -221,13 +221,13 @@ class MomSettings(Section):
     """Smallest neighbourhood."""
     min_family_points: int = Field(default=30, ge=1, le=100_000)
     """A plane family with fewer points does not count."""
-    max_points: int = Field(default=600, ge=10, le=100_000)
+    max_points: int = Field(default=400, ge=10, le=100_000)
     """Judging points of one window."""
     max_angle: float = Field(default=0.2, gt=0.0, le=0.7)
     """Largest angle in radians between a normal and its family's axis."""
-    voxel_size: float = Field(default=0.5, gt=0.0, le=5.0)
+    voxel_size: float = Field(default=0.6, gt=0.0, le=5.0)
     """Scans are thinned to this grid, in metres, before they are scored."""
-    submap_scans: int = Field(default=6, ge=1, le=MOST_SUBMAP_SCANS)
+    submap_scans: int = Field(default=4, ge=1, le=MOST_SUBMAP_SCANS)
     """Scans of G(t-1) that the new scans are compared with."""
 
 

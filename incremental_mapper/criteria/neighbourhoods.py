@@ -19,7 +19,10 @@ _UPPER = np.triu_indices(4)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pairs:
-    """Neighbours of queries: query ``rows`` (N,), point ``columns`` (N,), ``squares`` (N,) m^2."""
+    """Neighbours of queries: query ``rows`` (N,), point ``columns`` (N,), ``squares`` (N,) m^2.
+
+    ``rows`` ascend unless somebody renumbered them.
+    """
 
     rows: NDArray[np.int64]
     columns: NDArray[np.int64]
@@ -34,7 +37,7 @@ def find_pairs(points: NDArray[np.float64], queries: NDArray[np.float64], radius
     """All pairs of ``queries`` (Q, 3) and ``points`` (N, 3) within ``radius`` metres."""
     # An unbalanced tree is built in half the time and is asked only once.
     tree = KDTree(points, leafsize=24, balanced_tree=False, compact_nodes=False)
-    lists = tree.query_ball_point(queries, radius, return_sorted=False)
+    lists = tree.query_ball_point(queries, radius, return_sorted=False, workers=-1)
     lengths = np.fromiter((len(found) for found in lists), dtype=np.int64, count=len(lists))
     columns = np.fromiter(chain.from_iterable(lists), dtype=np.int64, count=int(lengths.sum()))
     rows = np.repeat(np.arange(len(queries)), lengths)
@@ -66,12 +69,18 @@ def sum_moments(
 ) -> NDArray[np.float64]:
     """Moments (owners, queries, 4, 4): Σ p̃ p̃ᵀ over each query's neighbours, split by owner.
 
-    ``products`` (N, 10) are those of the points and ``owner`` (N,) says whose they are.
+    ``products`` (N, 10) are those of the points and ``owner`` (N,) says whose they are; without
+    it the rows of ``pairs`` must ascend.
     """
-    rows = pairs.rows if owner is None else owner[pairs.columns] * queries + pairs.rows
-    matrix = csr_array(
-        (np.ones(len(rows)), (rows, pairs.columns)), shape=(owners * queries, len(products))
-    )
+    shape = (owners * queries, len(products))
+    ones = np.ones(len(pairs.rows))
+    if owner is None:
+        # The pairs come query by query, so the matrix need not be sorted first.
+        starts = np.searchsorted(pairs.rows, np.arange(queries + 1))
+        matrix = csr_array((ones, pairs.columns, starts), shape=shape)
+    else:
+        rows = owner[pairs.columns] * queries + pairs.rows
+        matrix = csr_array((ones, (rows, pairs.columns)), shape=shape)
     return to_moments(np.asarray(matrix @ products).reshape(owners, queries, 10))
 
 
