@@ -138,10 +138,11 @@ def make_fix(
         raise MeasurementError(
             'out_of_range', f'{where}: latitude {latitude}, longitude {longitude} are no place'
         )
+    known: Vector | None = None
     if covariance is not None:
-        covariance = np.asarray(covariance, dtype=np.float64).reshape(3, 3)
-        if not np.isfinite(covariance).all() or not (np.diag(covariance) > 0).all():
-            covariance = None
+        matrix: Vector = np.asarray(covariance, dtype=np.float64).reshape(3, 3)
+        if np.isfinite(matrix).all() and (np.diag(matrix) > 0).all():
+            known = matrix
     return GnssFix(
         stamp=stamp,
         sensor=sensor,
@@ -149,7 +150,7 @@ def make_fix(
         longitude=float(longitude),
         altitude=float(altitude),
         status=FixStatus(min(int(status), FixStatus.GBAS)),
-        covariance=covariance,
+        covariance=known,
     )
 
 
