@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 
-import gtsam
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -60,9 +59,3 @@ def transform_points(
     """Points (N, 3) moved by a (4, 4) matrix ``T_target_source``."""
     moved: NDArray[np.float64] = points @ matrix[:3, :3].T + matrix[:3, 3]
     return moved
-
-
-def yaw_pose(yaw: float, translation: NDArray[np.float64] | None = None) -> gtsam.Pose3:
-    """A pose turned by ``yaw`` radians about the upward axis."""
-    shift = np.zeros(3) if translation is None else translation
-    return gtsam.Pose3(gtsam.Rot3.Yaw(yaw), shift)

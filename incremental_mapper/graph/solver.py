@@ -21,7 +21,6 @@ class Solution:
 
     values: gtsam.Values
     error: float
-    iterations: int
 
 
 def make_graph(factors: Iterable[gtsam.NonlinearFactor]) -> gtsam.NonlinearFactorGraph:
@@ -53,7 +52,7 @@ def optimize(
     # LM hands back the initial values when the error is NaN; the error itself stays NaN.
     if not np.isfinite(error):
         return None
-    return Solution(values=values, error=error, iterations=int(optimizer.iterations()))
+    return Solution(values=values, error=error)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -22,6 +22,7 @@ from incremental_mapper.graph.smoother import Lag, shorten
 from incremental_mapper.graph.solver import copy_value, make_graph, optimize
 from incremental_mapper.mapper.front_end import Prepared, PreparedFix
 from incremental_mapper.mapper.state import GraphState
+from incremental_mapper.trajectory import NANOSECONDS
 
 
 def fix_spread(state: GraphState, items: Sequence[Prepared]) -> Mapping[int, float]:
@@ -77,7 +78,7 @@ def georeference(state: GraphState, config: Config) -> bool:
     newest = max(clusters.values())
     lag, gone = shorten(
         Lag(factors=plain, values=values, clusters=clusters),
-        newest - round(config.graph.lag * 1e9),
+        newest - round(config.graph.lag * NANOSECONDS),
         state.frontier.clusters(),
     )
     state.factors = factors

@@ -286,18 +286,12 @@ class WindowFactors:
         return made
 
     def _first_prior(self, cluster: Cluster) -> Factor:
-        return first_prior(
-            self.local_id(cluster),
-            self._in.states[cluster.stamp].pose,
-            cluster.stamp,
-            self._in.config,
+        """Prior that holds the map's first pose: level well, yaw loosely."""
+        graph = self._in.config.graph
+        sigmas = np.array(
+            [graph.prior_sigma_level] * 2
+            + [graph.prior_sigma_yaw]
+            + [graph.prior_sigma_position] * 3
         )
-
-
-def first_prior(cluster: int, pose: gtsam.Pose3, stamp: int, config: Config) -> Factor:
-    """Prior that holds the map's first pose: level well, yaw loosely."""
-    graph = config.graph
-    sigmas = np.array(
-        [graph.prior_sigma_level] * 2 + [graph.prior_sigma_yaw] + [graph.prior_sigma_position] * 3
-    )
-    return pose_prior(pose_key(cluster), pose, sigmas, stamp)
+        pose = self._in.states[cluster.stamp].pose
+        return pose_prior(pose_key(self.local_id(cluster)), pose, sigmas, cluster.stamp)
