@@ -367,4 +367,5 @@ class Mapper:
             clusters=tuple(placed),
             poses=tuple(self._state.pose(item.id) for item in placed),
             row=row,
+            tried=() if choice is None else choice.tried,
         )

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from incremental_mapper.candidates.clusters import Candidate
 from incremental_mapper.graph.factors import Factor, pose_key
+from incremental_mapper.mapper.selection import Tried
 from incremental_mapper.mapper.state import PlacedCluster, PlacedScan
 from incremental_mapper.trajectory import Trajectory
 
@@ -19,7 +20,8 @@ class WindowResult:
     """One window: the winner and the numbers that windows.csv shows.
 
     ``row`` holds the columns of windows.csv. ``clusters`` are the new clusters and ``poses``
-    their T_map_base right after the window. ``winner`` is None where nothing was appended.
+    their T_map_base right after the window. ``winner`` is None where nothing was appended;
+    ``tried`` are all candidates that it was chosen from.
     """
 
     index: int
@@ -29,6 +31,7 @@ class WindowResult:
     clusters: tuple[PlacedCluster, ...]
     poses: tuple[gtsam.Pose3, ...]
     row: dict[str, Any]
+    tried: tuple[Tried, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

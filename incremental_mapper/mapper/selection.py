@@ -49,8 +49,21 @@ class Verification:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Tried:
+    """One enumerated candidate; ``score`` and ``solver_error`` are None where it got none."""
+
+    candidate: Candidate
+    connected: bool
+    score: float | None = None
+    solver_error: float | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Choice:
-    """The winner of a window and how it was found; ``winner`` is None where none connects."""
+    """The winner of a window and how it was found; ``winner`` is None where none connects.
+
+    ``tried`` are all candidates that were looked at, in the order of their enumeration.
+    """
 
     winner: Candidate | None
     initial: gtsam.Values | None
@@ -63,6 +76,7 @@ class Choice:
     cut: bool
     seconds: dict[str, float]
     verification: Verification | None = None
+    tried: tuple[Tried, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,6 +126,7 @@ def choose(
             solved=0,
             cut=False,
             seconds=clock.seconds,
+            tried=(Tried(base, not loose),),
         )
     bound = upper_bound(len(task.parts), task.head is not None)
     cut = bound > selection.max_candidates
@@ -122,6 +137,7 @@ def choose(
     )
     enumerated = list(pool)
     connected = [item for item in enumerated if not task.factors.components(item)]
+    reachable = set(map(id, connected))
     if not task.may_merge:
         connected = [item for item in connected if not item.merges] or connected
     found = len(connected)
@@ -139,6 +155,14 @@ def choose(
     verification = None
     if selection.verify and isinstance(criterion, Mom):
         verification = _verify(criterion, [proposal for proposal, _ in proposals], clock)
+    judged = {
+        id(proposal.candidate): (score, proposal.solver_error)
+        for (proposal, _), score in zip(proposals, scores, strict=True)
+    }
+    tried = tuple(
+        Tried(item, id(item) in reachable, *judged.get(id(item), (None, None)))
+        for item in enumerated
+    )
     best = _best(scores, [proposal.candidate for proposal, _ in proposals])
     return Choice(
         winner=None if best is None else proposals[best][0].candidate,
@@ -152,6 +176,7 @@ def choose(
         cut=cut,
         seconds=clock.seconds,
         verification=verification,
+        tried=tried,
     )
 
 
