@@ -8,7 +8,7 @@ NAME = 'incremental_mapper'
 SETTINGS = sorted(str(path) for path in Path('config').iterdir())
 
 SIMULATION = ['embreex>=2.17.7.post4']
-PICTURES = ['matplotlib>=3.8']
+REPORT = ['jinja2>=3.1', 'matplotlib>=3.8', 'pyarrow>=14']
 # GTSAM's wheel needs pytest 9, and Jazzy's launch_testing plugin does not load on 9.1 or later.
 TESTS = [
     'pytest==9.0.*',
@@ -17,6 +17,7 @@ TESTS = [
     'evo>=1.31',
     'import-linter>=2.1',
     'mypy>=1.10',
+    'playwright>=1.40',
     'ruff>=0.5',
     'types-PyYAML',
     'types-tqdm',
@@ -53,7 +54,7 @@ setup(
     extras_require={
         'ros': ROS,
         'sim': SIMULATION,
-        'report': PICTURES,
+        'report': REPORT,
         'test': TESTS,
     },
     entry_points={

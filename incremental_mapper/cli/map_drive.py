@@ -10,6 +10,8 @@ from tqdm import tqdm
 from incremental_mapper.config import Tree, make_config, merge, read_yaml
 from incremental_mapper.criteria.criterion import strategy_names
 from incremental_mapper.datasets.open import open_source, read_truth
+from incremental_mapper.evaluation import candidate_table
+from incremental_mapper.evaluation.candidate_table import candidate_recorder
 from incremental_mapper.evaluation.run import Run, Stop, map_source, settle_config
 from incremental_mapper.evaluation.summary import draw_pictures, summary
 from incremental_mapper.mapper.output import prepare_folder, write_result
@@ -23,8 +25,8 @@ def add_parser(subparsers: Any) -> None:
         'map',
         help='map a KAIST folder or a bag',
         description='Map a drive with LiDAR, and IMU and GNSS where there are any. Writes '
-        'trajectory.tum, map.ply, graph.json, graph.g2o, windows.csv, stats.json and pictures. '
-        'Ctrl-C stops early and writes what has been mapped so far.',
+        'trajectory.tum, map.ply, graph.json, graph.g2o, windows.csv, candidates.parquet, '
+        'stats.json and pictures. Ctrl-C stops early and writes what has been mapped so far.',
     )
     parser.add_argument(
         'input',
@@ -78,8 +80,11 @@ def run(args: argparse.Namespace) -> int:
     with (
         stop.listening(),
         tqdm(total=source.info.count, unit='msg', desc='map', disable=None) as bar,
+        candidate_recorder(args.out_dir / candidate_table.FILE_NAME) as record,
     ):
-        done = map_source(source, config, truth, bar.update, stop)
+        if record is None:
+            bar.write(f'note: {candidate_table.MISSING}', file=sys.stderr)
+        done = map_source(source, config, truth, bar.update, stop, record)
     _write(args.out_dir, done, truth)
     print(summary(done.stats))
     return EXIT_INTERRUPTED if done.interrupted else 0

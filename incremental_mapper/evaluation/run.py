@@ -3,7 +3,7 @@
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from importlib import metadata
@@ -20,7 +20,7 @@ from incremental_mapper.errors import InputError
 from incremental_mapper.evaluation.trajectory_error import TrajectoryErrors, trajectory_errors
 from incremental_mapper.map.cloud import accumulate
 from incremental_mapper.mapper.mapper import Mapper
-from incremental_mapper.mapper.result import MapResult
+from incremental_mapper.mapper.result import MapResult, WindowResult
 from incremental_mapper.mapper.statistics import peak_rss_mb
 from incremental_mapper.measurements import Drops
 from incremental_mapper.trajectory import Trajectory
@@ -75,23 +75,32 @@ def map_source(
     truth: Trajectory | None = None,
     progress: Callable[[int], object] | None = None,
     stop: Stop | None = None,
+    observe: Callable[[WindowResult], object] | None = None,
 ) -> Run:
     """Map an input from end to end.
 
     ``progress`` is called with the number of measurements read since the last call; ``stop``
-    ends the run early, keeping what was mapped. Raises InputError where nothing could be used.
+    ends the run early, keeping what was mapped; ``observe`` is called with each window. Raises
+    InputError where nothing could be used.
     """
+
+    def tell(windows: Iterable[WindowResult]) -> None:
+        for window in windows:
+            if observe is not None:
+                observe(window)
+
     started = time.perf_counter()
     mapper = Mapper(config, [name for name, count in source.info.counts.items() if count])
     interrupted = False
     for measurement in source.measurements():
-        mapper.push(measurement)
+        tell(mapper.push(measurement))
         if progress is not None:
             progress(1)
         if stop is not None and stop.wanted:
             interrupted = True
             break
-    result = mapper.finish()
+    tell(mapper.flush())
+    result = mapper.result()
     if not result.clusters and interrupted:
         raise KeyboardInterrupt
     if not result.clusters:
