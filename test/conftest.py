@@ -199,3 +199,32 @@ def light_bag(light_drive, tmp_path_factory):
     folder = tmp_path_factory.mktemp('bags') / 'light'
     convert(light_drive, folder)
     return folder
+
+
+@pytest.fixture(scope='session')
+def messages(light_bag):
+    """The sensors' messages of ``light_bag`` in the order in which they were logged."""
+    from ros_helpers import read_inputs
+
+    return read_inputs(light_bag)
+
+
+@pytest.fixture
+def start_node(tmp_path, light_bag, monkeypatch):
+    """Start a node in this process, with ``trees`` laid over the settings of ``light_bag``.
+
+    It saves into ``tmp_path / 'saved'``, without pictures, and is closed in the end.
+    """
+    from ros_helpers import NodeSession, bag_parameters
+
+    monkeypatch.setitem(sys.modules, _PICTURES, None)
+    sessions = []
+
+    def start(*trees):
+        saving = {'save': {'folder': str(tmp_path / 'saved')}}
+        sessions.append(NodeSession(tmp_path, bag_parameters(light_bag, saving, *trees)))
+        return sessions[-1]
+
+    yield start
+    for session in sessions:
+        session.close()

@@ -1,7 +1,5 @@
 """A subscriber that collects serialised messages, and a DDS domain of its own for a test."""
 
-import itertools
-import os
 import threading
 import time
 
@@ -10,14 +8,12 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.signals import SignalHandlerOptions
-
-# Above 101 the ports may be taken by outgoing connections.
-_domains = (1 + number % 100 for number in itertools.count(7 * os.getpid()))
+from ros_helpers import next_domain
 
 
 def own_domain(monkeypatch):
     """Separate what starts after this, child processes too, from all other ROS programs."""
-    monkeypatch.setenv('ROS_DOMAIN_ID', str(next(_domains)))
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(next_domain()))
     monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
 
 

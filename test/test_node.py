@@ -15,7 +15,6 @@ from ros_helpers import (
     decode_cloud,
     decode_status,
     map_offline,
-    read_inputs,
     stamp_of,
 )
 from scipy.spatial import cKDTree
@@ -28,12 +27,12 @@ MEASURED = {'wall_s', 'real_time_factor', 'peak_rss_mb', 'seconds_by_stage'}
 
 
 @pytest.fixture(scope='module')
-def session(light_bag, tmp_path_factory):
+def session(light_bag, messages, tmp_path_factory):
     """A node that has mapped the whole drive and still runs."""
     folder = tmp_path_factory.mktemp('node')
     saving = {'save': {'folder': str(folder / 'saved')}}
     made = NodeSession(folder, bag_parameters(light_bag, saving))
-    made.play(read_inputs(light_bag))
+    made.play(messages)
     made.finish()
     made.folder = folder / 'saved'
     success, message = made.call('save_map')
@@ -153,10 +152,10 @@ def test_diagnostics_tell_of_every_part(session):
     assert decode_status(message.status[0])['topic'] == '/points_left'
 
 
-def test_map_that_nobody_listened_to_is_there_for_the_first_listener(tmp_path, light_bag):
+def test_map_that_nobody_listened_to_is_there_for_the_first_listener(tmp_path, light_bag, messages):
     quiet = NodeSession(tmp_path, bag_parameters(light_bag), listen=False)
     quiet.listen('/incremental_mapper/graph_stats', *quiet.of('graph_stats'))
-    quiet.play(read_inputs(light_bag))
+    quiet.play(messages)
     quiet.finish()
     quiet.listen('/incremental_mapper/map', *quiet.of('map'))
     quiet.wait(lambda: quiet.received['map'], 'the map')

@@ -9,37 +9,15 @@ import pytest
 pytest.importorskip('rclpy', reason='rclpy is not installed (extra "ros")')
 
 from ros_helpers import (
-    NodeSession,
     assert_same_graph,
     bag_parameters,
     map_offline,
-    read_inputs,
     restamp,
     stamp_of,
 )
 from sensor_msgs.msg import PointField
 
 LEFT, RIGHT, IMU, FIX = '/points_left', '/points_right', '/imu', '/fix'
-
-
-@pytest.fixture(scope='module')
-def messages(light_bag):
-    return read_inputs(light_bag)
-
-
-@pytest.fixture
-def start(tmp_path, light_bag):
-    """Start a node with settings laid over those of the bag; it is closed in the end."""
-    sessions = []
-
-    def make(*trees):
-        saving = {'save': {'folder': str(tmp_path / 'saved')}}
-        sessions.append(NodeSession(tmp_path, bag_parameters(light_bag, saving, *trees)))
-        return sessions[-1]
-
-    yield make
-    for session in sessions:
-        session.close()
 
 
 def points_of(message):
@@ -142,7 +120,7 @@ FAULTS = [
 
 
 def test_layout_of_clouds_makes_no_difference_and_faults_are_counted(
-    start, messages, light_bag, tmp_path
+    start_node, messages, light_bag, tmp_path
 ):
     changes = {LEFT: big_endian_in_padded_rows, RIGHT: unordered_with_rests_and_nan}
     played = []
@@ -152,7 +130,7 @@ def test_layout_of_clouds_makes_no_difference_and_faults_are_counted(
         index, victim = [(i, m) for i, m in enumerate(played) if m.topic == topic][1]
         original = next(item for item in messages if item.logged == victim.logged)
         played.insert(index, replace(original.changed(fault), topic=topic))
-    session = start()
+    session = start_node()
     session.play(played)
     session.finish()
     for _, _, sensor, reason in FAULTS:
@@ -162,8 +140,8 @@ def test_layout_of_clouds_makes_no_difference_and_faults_are_counted(
 
 
 @pytest.mark.parametrize('missing', [IMU, FIX], ids=['no_imu', 'no_gnss'])
-def test_drive_without(start, messages, missing):
-    session = start({'window': {'lateness': 0.3}})
+def test_drive_without(start_node, messages, missing):
+    session = start_node({'window': {'lateness': 0.3}})
     session.play([item for item in messages if item.topic != missing])
     stats = session.finish()
     assert stats['components'] == 1
@@ -174,11 +152,11 @@ def test_drive_without(start, messages, missing):
     assert len(session.received['odometry']) > 20
 
 
-def test_lidar_that_dies_and_returns(start, messages):
+def test_lidar_that_dies_and_returns(start_node, messages):
     first = messages[0].logged
     dead = range(first + 800_000_000, first + 1_600_000_000)
     played = [item for item in messages if item.topic != LEFT or item.logged not in dead]
-    session = start({'window': {'lateness': 0.3}, 'odometry': {'max_gap': 0.5}})
+    session = start_node({'window': {'lateness': 0.3}, 'odometry': {'max_gap': 0.5}})
     session.play(played)
     # While it was dead, the windows went on.
     stats = session.finish()
@@ -190,14 +168,14 @@ def test_lidar_that_dies_and_returns(start, messages):
     assert np.diff(stamps).max() < 250_000_000
 
 
-def test_best_effort_publishers_are_heard(start, messages):
-    session = start()
+def test_best_effort_publishers_are_heard(start_node, messages):
+    session = start_node()
     session.play(messages[:40], reliable=False)
     session.wait(lambda: session.arrived().get(IMU, 0) > 20, 'IMU samples')
 
 
-def test_flood_is_shed_in_order_and_nothing_is_lost_unseen(start, messages, tmp_path):
-    session = start({'queue': {'core': 10}, 'time_jump': {'policy': 'ignore'}})
+def test_flood_is_shed_in_order_and_nothing_is_lost_unseen(start_node, messages, tmp_path):
+    session = start_node({'queue': {'core': 10}, 'time_jump': {'policy': 'ignore'}})
     session.play(messages, rate=100.0)
     # What the middleware still holds comes in; how much it lost is not the matter here.
     seen = [{}, session.arrived()]

@@ -1,13 +1,14 @@
 """Services, time jumps and parameters of the node."""
 
 import json
-import sys
 
 import pytest
 
 pytest.importorskip('rclpy', reason='rclpy is not installed (extra "ros")')
 
+from collections import Counter
 from dataclasses import replace
+from itertools import count
 
 from rcl_interfaces.srv import DescribeParameters, SetParameters
 from rclpy.parameter import Parameter
@@ -17,31 +18,11 @@ from ros_helpers import (
     bag_parameters,
     decode_cloud,
     map_offline,
-    read_inputs,
 )
 
+from incremental_mapper.criteria.criterion import StrategyPlan, register
 from incremental_mapper.errors import ConfigError
-
-
-@pytest.fixture(scope='module')
-def messages(light_bag):
-    return read_inputs(light_bag)
-
-
-@pytest.fixture
-def start(tmp_path, light_bag, monkeypatch):
-    """Start a node that saves into ``tmp_path / 'saved'``, without pictures; closed in the end."""
-    monkeypatch.setitem(sys.modules, 'incremental_mapper.evaluation.pictures', None)
-    sessions = []
-
-    def make(*trees):
-        saving = {'save': {'folder': str(tmp_path / 'saved')}}
-        sessions.append(NodeSession(tmp_path, bag_parameters(light_bag, saving, *trees)))
-        return sessions[-1]
-
-    yield make
-    for session in sessions:
-        session.close()
+from incremental_mapper.ros import saving as saving_module
 
 
 def vertices(folder):
@@ -52,8 +33,8 @@ def part(messages, seconds):
     return [item for item in messages if item.logged < messages[0].logged + seconds * 1e9]
 
 
-def test_save_reset_pause(start, messages, tmp_path):
-    session = start()
+def test_save_reset_pause(start_node, messages, tmp_path):
+    session = start_node()
     success, message = session.call('save_map')
     assert not success and 'empty' in message
     assert not (tmp_path / 'saved').exists()
@@ -83,11 +64,16 @@ def test_save_reset_pause(start, messages, tmp_path):
 
 def looped(messages):
     shift = messages[-1].logged - messages[0].logged + 100_000_000
-    return [*messages, *(replace(item, logged=item.logged + shift) for item in messages)]
+    return [
+        *messages,
+        *(replace(item, logged=item.logged + shift) for item in messages),
+    ]
 
 
-def test_looped_bag_starts_a_new_map_after_saving_the_old(start, messages, light_bag, tmp_path):
-    session = start({'save': {'on_shutdown': str(tmp_path / 'last')}})
+def test_looped_bag_starts_a_new_map_after_saving_the_old(
+    start_node, messages, light_bag, tmp_path
+):
+    session = start_node({'save': {'on_shutdown': str(tmp_path / 'last')}})
     session.play(looped(messages))
     session.finish()
     assert session.diagnostics()['worker']['time_jumps'] == 1
@@ -99,8 +85,8 @@ def test_looped_bag_starts_a_new_map_after_saving_the_old(start, messages, light
     assert_same_graph(tmp_path / 'last_2', offline)
 
 
-def test_looped_bag_is_ignored_where_the_policy_says_so(start, messages, light_bag, tmp_path):
-    session = start({'time_jump': {'policy': 'ignore'}})
+def test_looped_bag_is_ignored_where_the_policy_says_so(start_node, messages, light_bag, tmp_path):
+    session = start_node({'time_jump': {'policy': 'ignore'}})
     session.play(looped(part(messages, 1.6)))
     session.finish()
     assert session.dropped('imu')['time_jump'] > 30
@@ -130,8 +116,8 @@ def test_wrong_parameters_are_refused(tmp_path, tree, words):
         assert word in str(caught.value)
 
 
-def test_parameters_have_descriptions_and_only_safe_ones_change(start):
-    session = start({'window': {'duration': 1}, 'imu': {'time_offset': 0.25}})
+def test_parameters_have_descriptions_and_only_safe_ones_change(start_node):
+    session = start_node({'window': {'duration': 1}, 'imu': {'time_offset': 0.25}})
     node = session.mapper.node
     assert node.get_parameter('imu.time_offset').value == 0.25
     assert node.get_parameter('window.duration').value == 1.0
@@ -163,3 +149,66 @@ def test_parameters_have_descriptions_and_only_safe_ones_change(start):
     assert session.mapper.parameters.config.map.publish_period == 0.5
     assert not change('map.publish_period', -1.0).successful
     assert not change('window.duration', 0.2).successful
+
+
+class Explosive:
+    """A criterion that judges as ``min_time_shift`` does and raises in one window."""
+
+    name = 'time_shift'
+
+    def __init__(self, window, fails):
+        self._explodes = window == fails
+
+    def score(self, proposal):
+        if self._explodes:
+            raise ValueError('the criterion explodes')
+        return proposal.candidate.time_shift / 1e9
+
+
+@pytest.fixture
+def explosive():
+    """A registered strategy whose criterion raises in its tenth window."""
+    windows = count(1)
+    name = f'explosive_{id(windows)}'
+    register(name, StrategyPlan(lambda *_: Explosive(next(windows), 10), solve=False))
+    return name
+
+
+@pytest.mark.parametrize('saves', [True, False])
+def test_exception_in_the_mapper_loses_no_map(start_node, messages, tmp_path, explosive, saves):
+    saving = {'save': {'on_shutdown': str(tmp_path / 'kept') if saves else ''}}
+    session = start_node({'selection': {'strategy': explosive}}, saving)
+    session.play(messages)
+    stats = session.finish()
+    found = session.diagnostics()
+    assert found['worker']['mapper_failures'] == 1
+    assert session.received['diagnostics'][-1].status[-2].message == 'mapper failures: 1'
+    # Nine windows, nine more after the one that failed, and every scan and fix accounted for.
+    assert stats['windows'] > 9 and stats['components'] == 1
+    assert (tmp_path / 'kept').exists() == saves
+    assert session.call('save_map')[0]
+    used = members(tmp_path / 'saved')
+    lost = Counter({name: found[name]['dropped']['mapper_failed'] for name in ('left', 'right')})
+    assert 0 < lost.total() < 30
+    if saves:
+        used += members(tmp_path / 'kept')
+        assert json.loads((tmp_path / 'kept' / 'stats.json').read_text())['windows'] == 9
+        for name in ('left', 'right'):
+            assert used[name] + lost[name] == sum(m.topic == f'/points_{name}' for m in messages)
+
+
+def test_failed_save_keeps_the_map(start_node, messages, tmp_path, monkeypatch):
+    session = start_node()
+    session.play(part(messages, 0.8))
+    session.finish()
+    monkeypatch.setattr(saving_module, 'map_points', lambda *_: 1 / 0)
+    assert session.call('save_map') == (False, 'saving failed; the log says how')
+    monkeypatch.undo()
+    assert session.call('save_map')[0]
+    assert session.diagnostics()['worker']['mapper_failures'] == 0
+
+
+def members(folder):
+    """Measurements of a saved map by sensor."""
+    graph = json.loads((folder / 'graph.json').read_text())
+    return Counter(member['sensor'] for item in graph['clusters'] for member in item['members'])

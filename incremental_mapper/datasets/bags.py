@@ -120,17 +120,7 @@ class BagSource:
 
     @contextmanager
     def _open(self) -> Iterator[AnyReader]:
-        store = get_typestore(Stores.ROS2_JAZZY)
-        try:
-            reader = AnyReader(self._files, default_typestore=store)
-            reader.open()
-        # Of a damaged file the library raises whatever its parser stumbles over.
-        except Exception as error:
-            reason = ' '.join(str(error).split()) or type(error).__name__
-            raise InputError(
-                f'{self._path}: cannot be read as a bag ({reason}); an interrupted recording '
-                'may need "ros2 bag reindex", "mcap recover" or "rosbag reindex"'
-            ) from error
+        reader = open_bag(self._path)
         try:
             yield reader
         finally:
@@ -198,6 +188,22 @@ class BagSource:
         table = np.array(rows)[order]
         quaternions = Rotation.from_quat(table[:, 3:]).as_quat()
         return Trajectory(unique, table[:, :3], quaternions)
+
+
+def open_bag(path: Path) -> AnyReader:
+    """A reader that is open, and to be closed; raises InputError where the bag cannot be read."""
+    files = bag_files(path)
+    try:
+        reader = AnyReader(files, default_typestore=get_typestore(Stores.ROS2_JAZZY))
+        reader.open()
+    # Of a damaged file the library raises whatever its parser stumbles over.
+    except Exception as error:
+        reason = ' '.join(str(error).split()) or type(error).__name__
+        raise InputError(
+            f'{path}: cannot be read as a bag ({reason}); an interrupted recording '
+            'may need "ros2 bag reindex", "mcap recover" or "rosbag reindex"'
+        ) from error
+    return reader
 
 
 def bag_files(path: Path) -> list[Path]:

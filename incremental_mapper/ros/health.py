@@ -15,6 +15,7 @@ from incremental_mapper.ros.messages import status
 from incremental_mapper.ros.worker import WindowUpdate, Worker
 
 MAPPER_KEYS = ('windows', 'clusters', 'vertices', 'factors', 'components', 'georeferenced')
+MB = 1e6
 
 
 class Health:
@@ -98,18 +99,22 @@ class Health:
             'window_s': row.get('window_s', 0.0),
             **{f'{stage}_s': row.get(f'{stage}_s', 0.0) for stage in STAGES},
             'cut_windows': stats.get('cut_windows', 0),
+            'limited_windows': self._worker.limited_windows,
             'merged_windows': stats.get('merged_windows', 0),
             'late_but_used': stats.get('late_but_used', 0),
             'real_time_factor': stats.get('real_time_factor', 0.0),
             'time_jumps': self._worker.jumps.jumps,
+            'mapper_failures': self._worker.failures,
+            'scans_mb': round(self._worker.scan_bytes / MB, 2),
+            'voxels_mb': round(self._worker.cloud_bytes / MB, 2),
             'peak_rss_mb': stats.get('peak_rss_mb', 0.0),
         }
-        return status(
-            f'{self._name}: worker',
-            DiagnosticStatus.WARN if overloaded else DiagnosticStatus.OK,
-            'falling behind: less search' if overloaded else 'keeps up',
-            values,
-        )
+        level, message = DiagnosticStatus.OK, 'keeps up'
+        if self._worker.failures:
+            level, message = DiagnosticStatus.WARN, f'mapper failures: {self._worker.failures}'
+        elif overloaded:
+            level, message = DiagnosticStatus.WARN, 'falling behind: less search'
+        return status(f'{self._name}: worker', level, message, values)
 
     def _map(self, drops: Mapping[str, Mapping[str, int]]) -> DiagnosticStatus:
         stats = self._stats()

@@ -86,6 +86,12 @@ class VoxelCloud:
             self._points = [np.concatenate(self._points)]
         return self._points[0] if self._points else np.zeros((0, 3), dtype=np.float32)
 
+    @property
+    def nbytes(self) -> int:
+        """Memory that keys and points take."""
+        keys, points = self._blocks, self._points
+        return sum(block.nbytes for block in keys) + sum(piece.nbytes for piece in points)
+
 
 class LiveMap:
     """Follows a mapper; ``follow`` is to be called after every window."""
@@ -117,6 +123,11 @@ class LiveMap:
         while len(self._path) > self._config.path.max_poses // 2:
             self._path = self._path[::2]
             self._stride *= 2
+
+    @property
+    def nbytes(self) -> int:
+        """Memory that the settled voxels take."""
+        return self._cloud.nbytes
 
     def points(self) -> NDArray[np.float32]:
         """The map (N, 3) in metres, one point a voxel."""

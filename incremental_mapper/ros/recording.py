@@ -8,7 +8,6 @@ from types import TracebackType
 from typing import TypeAlias
 
 from rosbags.convert.converter import is_same_wireformat, migrate_bytes
-from rosbags.highlevel import AnyReader
 from rosbags.interfaces import (
     Connection,
     ConnectionExtRosbag1,
@@ -18,7 +17,7 @@ from rosbags.interfaces import (
 )
 from rosbags.typesys import Stores, get_typestore
 
-from incremental_mapper.datasets.bags import bag_files
+from incremental_mapper.datasets.bags import open_bag
 from incremental_mapper.datasets.topics import Topic
 from incremental_mapper.errors import InputError
 
@@ -38,17 +37,13 @@ class Recording:
     def __init__(self, path: Path) -> None:
         """Open the bag; raises InputError where it cannot be read."""
         self.path = path
+        self._reader = open_bag(path)
         try:
-            self._reader = AnyReader(
-                bag_files(path), default_typestore=get_typestore(Stores.ROS2_JAZZY)
-            )
-            self._reader.open()
             self._converters = {} if self._reader.is2 else self._ros1_converters()
-        except InputError:
-            raise
-        # Of a damaged file the library raises whatever its parser stumbles over.
+        # Of a damaged definition the library raises whatever its parser stumbles over.
         except Exception as error:
-            raise InputError(f'{path}: cannot be read as a bag ({_reason(error)})') from error
+            self._reader.close()
+            raise InputError(f'{path}: its types cannot be read ({_reason(error)})') from error
         self.topics = tuple(_topic(name, info) for name, info in self._reader.topics.items())
         self.start = self._reader.start_time
         self.end = self._reader.end_time

@@ -1,8 +1,10 @@
 """The one thread that owns the mapper: measurements and orders in, updates out."""
 
+import contextlib
 import threading
 import time
 import traceback
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,14 +19,16 @@ from incremental_mapper.errors import MapperError
 from incremental_mapper.mapper.effort import FULL, Effort
 from incremental_mapper.mapper.mapper import Mapper
 from incremental_mapper.mapper.result import NewestState, WindowResult
+from incremental_mapper.mapper.state import PlacedScan
 from incremental_mapper.mapper.statistics import peak_rss_mb
 from incremental_mapper.measurements import Drops, Measurement
 from incremental_mapper.ros.inbox import Command, Deadline, Inbox, Order, View
+from incremental_mapper.ros.inputs import GNSS, IMU
 from incremental_mapper.ros.jumps import JumpFilter
 from incremental_mapper.ros.live_map import GraphView, LiveMap, PathView
 from incremental_mapper.ros.saving import save_map
 
-SHUTDOWN = 'shutdown'
+SHUTDOWN, FAILED = 'shutdown', 'mapper_failed'
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,7 +82,12 @@ Update: TypeAlias = WindowUpdate | ViewUpdate | Reply | Restarted | Trouble
 
 
 class Worker:
-    """Runs the mapper in a thread of its own; ``emit`` takes the updates, in that thread."""
+    """Runs the mapper in a thread of its own; ``emit`` takes the updates, in that thread.
+
+    ``failures`` counts how often the mapper raised, ``limited_windows`` the windows of this map
+    for which fewer candidates were tried because measurements came too fast, ``scan_bytes`` and
+    ``cloud_bytes`` what this map's scans and its voxels take. Any thread may read them.
+    """
 
     def __init__(self, config: Config, emit: Callable[[Update], None]) -> None:
         self.config = config
@@ -86,8 +95,10 @@ class Worker:
         self.jumps = JumpFilter(config.time_jump)
         self.outside_drops: Callable[[], Drops] = Drops
         self.graph_span = config.graph.markers_span
+        self.failures = 0
+        self._lost: Drops = Counter()
         self._emit = emit
-        self._sensors = [*config.lidars, 'imu', 'gnss']
+        self._sensors = [*config.lidars, IMU, GNSS]
         self._thread = threading.Thread(target=self._run, name='mapper', daemon=True)
         self._deadline: Deadline | None = None
         self._begin()
@@ -111,7 +122,7 @@ class Worker:
 
     def drops(self) -> Drops:
         """What was lost between the callbacks and the mapper."""
-        return self.outside_drops() + self.inbox.drops() + self.jumps.drops
+        return self.outside_drops() + self.inbox.drops() + self.jumps.drops + self._lost
 
     def _begin(self) -> None:
         self._mapper = Mapper(self.config, self._sensors)
@@ -120,6 +131,7 @@ class Worker:
         self._odom = gtsam.Pose3()
         self._last_cluster: int | None = None
         self._scans = 0
+        self.limited_windows = self.scan_bytes = self.cloud_bytes = 0
 
     def _run(self) -> None:
         while True:
@@ -139,12 +151,31 @@ class Worker:
                     self._take_in(item)
             # The libraries below raise what they like; a map is not worth the node's life.
             except Exception:
-                self._emit(Trouble(f'the mapper failed:\n{traceback.format_exc()}'))
+                self._fail()
                 if isinstance(item, Command):
                     self._emit(Reply(item.ticket, False, 'the mapper failed; the log says how'))
                     if item.order is Order.STOP:
                         return
                 self._restart('the mapper failed')
+
+    def _fail(self) -> None:
+        """Tell of the exception and keep what was mapped before it, as far as it can be had."""
+        self.failures += 1
+        self._emit(Trouble(f'the mapper failed:\n{traceback.format_exc()}'))
+        # Anything may be missing from the state of a mapper that failed.
+        with contextlib.suppress(Exception):
+            self._lost = self._lost + self._in_no_cluster()
+        self._save_quietly()
+
+    def _in_no_cluster(self) -> Drops:
+        """Core measurements that the mapper took in and has neither used nor counted."""
+        stats, lost = self._mapper.stats(), Counter[tuple[str, str]]()
+        for sensor, count in stats['received'].items():
+            if sensor != IMU:
+                lost[sensor, FAILED] = count - sum(stats['dropped'].get(sensor, {}).values())
+        for placed in self._mapper.state.clusters:
+            lost.subtract((core.sensor, FAILED) for core in placed.cluster.members)
+        return +lost
 
     def _too_late(self) -> bool:
         return self._deadline is not None and self._deadline.passed()
@@ -158,7 +189,9 @@ class Worker:
         for item in passed.measurements:
             if self._started is None:
                 self._started = time.perf_counter()
-            for result in self._mapper.advance(item, self.inbox.effort()):
+            effort = self.inbox.effort()
+            for result in self._mapper.advance(item, effort):
+                self.limited_windows += effort.candidates is not None
                 self._tell(result)
 
     def _flush(self, effort: Effort) -> int:
@@ -188,6 +221,10 @@ class Worker:
             place = self._save(Path(self.config.save.folder))
         except MapperError as error:
             return Reply(command.ticket, False, str(error))
+        # A folder that could not be written is no reason to lose the map.
+        except Exception:
+            self._emit(Trouble(f'saving failed:\n{traceback.format_exc()}'))
+            return Reply(command.ticket, False, 'saving failed; the log says how')
         return Reply(command.ticket, True, f'saved to {place}')
 
     def _save_quietly(self) -> None:
@@ -198,6 +235,9 @@ class Worker:
             place = self._save(Path(folder))
         except MapperError as error:
             self._emit(Trouble(str(error)))
+        # As in _fail, or where the folder's pictures cannot be drawn.
+        except Exception:
+            self._emit(Trouble(f'saving failed:\n{traceback.format_exc()}'))
         else:
             self._emit(Trouble(f'saved to {place}'))
 
@@ -219,10 +259,13 @@ class Worker:
         }
         newest = self._mapper.newest() if result.clusters else None
         odom = None if newest is None else self._move_odom(newest)
-        points = self._live.placed(self._new_scans())
+        scans = self._new_scans()
+        self.scan_bytes += sum(scan.points.nbytes for scan in scans)
+        self.cloud_bytes = self._live.nbytes
+        points = self._live.placed(scans)
         self._emit(WindowUpdate(result, newest, odom, points, stats))
 
-    def _new_scans(self) -> Sequence[Any]:
+    def _new_scans(self) -> Sequence[PlacedScan]:
         scans = self._mapper.state.scans
         before, self._scans = self._scans, len(scans)
         return scans[before:]
