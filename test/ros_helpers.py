@@ -3,8 +3,6 @@
 import contextlib
 import json
 import os
-import random
-import socket
 import threading
 import time
 from collections import Counter, defaultdict
@@ -32,9 +30,12 @@ from visualization_msgs.msg import MarkerArray
 from incremental_mapper.config import merge, read_yaml
 from incremental_mapper.datasets.bags import SETTINGS_FILE
 from incremental_mapper.datasets.open import open_source
+from incremental_mapper.evaluation.comparison import compare_graphs, read_graph
 from incremental_mapper.evaluation.run import map_source, settle_config
 from incremental_mapper.mapper.output import graph_tree
+from incremental_mapper.ros.messages import read_status
 from incremental_mapper.ros.node import MapperNode
+from incremental_mapper.ros.programs import free_domain
 from incremental_mapper.trajectory import NANOSECONDS
 
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
@@ -82,18 +83,10 @@ class Recorded:
 
 
 def next_domain():
-    """A domain that nobody on this machine uses; those up to 101 are free on Linux."""
-    for domain in random.SystemRandom().sample(range(1, 101), 100):
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            try:
-                # DDS gives this port to the first participant of the domain.
-                probe.bind(('', 7410 + 250 * domain))
-            except OSError:
-                continue
-        if domain not in _used_domains:
-            _used_domains.add(domain)
-            return domain
-    raise AssertionError('every domain is in use')
+    """A domain that nobody on this machine uses, and no test before."""
+    domain = free_domain(_used_domains)
+    _used_domains.add(domain)
+    return domain
 
 
 def read_inputs(bag):
@@ -120,18 +113,6 @@ def decode_cloud(message):
     assert message.point_step == 12 and len(message.data) == 12 * message.width
     assert [field.name for field in message.fields] == ['x', 'y', 'z']
     return np.frombuffer(message.data, dtype='<f4').reshape(-1, 3)
-
-
-def decode_status(status):
-    """Values of a diagnostic status; what was written as JSON is read as such."""
-
-    def read(text):
-        try:
-            return json.loads(text)
-        except json.JSONDecodeError:
-            return text
-
-    return {item.key: read(item.value) for item in status.values}
 
 
 class Spinner:
@@ -272,14 +253,14 @@ class NodeSession:
         return self.stats()[-1] if self.received['graph_stats'] else {}
 
     def stats(self):
-        return [decode_status(message.status[0]) for message in self.received['graph_stats']]
+        return [read_status(message.status[0]) for message in self.received['graph_stats']]
 
     def diagnostics(self):
         """The newest diagnostics that came after this call: values by the last word of the name."""
         seen = len(self.received['diagnostics'])
         self.wait(lambda: len(self.received['diagnostics']) > seen, 'diagnostics')
         newest = self.received['diagnostics'][-1]
-        return {item.name.split(': ')[-1]: decode_status(item) for item in newest.status}
+        return {item.name.split(': ')[-1]: read_status(item) for item in newest.status}
 
     def dropped(self, sensor):
         return self.diagnostics()[sensor]['dropped']
@@ -308,17 +289,11 @@ def map_offline(bag, tree):
 
 def assert_same_graph(folder, run):
     """A folder that the node saved holds the graph of an offline run."""
-    saved = json.loads((folder / 'graph.json').read_text())
     result = run.result
     graph = graph_tree(result.clusters, result.factors, result.values)
-    assert saved['clusters'] == graph['clusters']
-    for kind in ('variables', 'factors'):
-        assert len(saved[kind]) == len(graph[kind])
-    for ours, theirs in zip(saved['variables'], graph['variables'], strict=True):
-        assert ours['key'] == theirs['key']
-        np.testing.assert_allclose(ours['value'], theirs['value'], atol=1e-6)
-    for ours, theirs in zip(saved['factors'], graph['factors'], strict=True):
-        assert (ours['kind'], ours['variables']) == (theirs['kind'], theirs['variables'])
+    # Tuples become lists as in the file.
+    found = compare_graphs(read_graph(folder), json.loads(json.dumps(graph)))
+    assert found.differences == ()
 
 
 def bag_parameters(bag, *more: dict[str, Any]):

@@ -13,13 +13,13 @@ from ros_helpers import (
     assert_same_graph,
     bag_parameters,
     decode_cloud,
-    decode_status,
     map_offline,
     stamp_of,
 )
 from scipy.spatial import cKDTree
 from sensor_msgs.msg import PointCloud2
 
+from incremental_mapper.ros.messages import read_status
 from incremental_mapper.trajectory import read_tum
 
 MEASURED = {'wall_s', 'real_time_factor', 'peak_rss_mb', 'seconds_by_stage'}
@@ -149,7 +149,7 @@ def test_diagnostics_tell_of_every_part(session):
     assert found['worker']['queue_core'] == 0 and found['worker']['merged_windows'] == 0
     message = session.received['diagnostics'][-1]
     assert {item.level for item in message.status} == {b'\x00'}
-    assert decode_status(message.status[0])['topic'] == '/points_left'
+    assert read_status(message.status[0])['topic'] == '/points_left'
 
 
 def test_map_that_nobody_listened_to_is_there_for_the_first_listener(tmp_path, light_bag, messages):

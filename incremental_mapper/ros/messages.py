@@ -134,5 +134,17 @@ def status(name: str, level: bytes, message: str, values: Mapping[str, Any]) -> 
     return DiagnosticStatus(name=name, level=level, message=message, hardware_id='', values=pairs)
 
 
+def read_status(status: DiagnosticStatus) -> dict[str, Any]:
+    """The values of a diagnostic status; what was written as JSON is read as such."""
+    return {item.key: _value(item.value) for item in status.values}
+
+
+def _value(text: str) -> Any:
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError:
+        return text
+
+
 def _text(value: Any) -> str:
     return value if isinstance(value, str) else json.dumps(value)

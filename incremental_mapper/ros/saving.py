@@ -2,6 +2,8 @@
 
 import shutil
 import tempfile
+import traceback
+from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -14,14 +16,22 @@ from incremental_mapper.mapper.output import write_result
 from incremental_mapper.measurements import Drops
 
 
+@dataclass(frozen=True, slots=True)
+class Saved:
+    """The folder that was made, and a remark where there are no pictures in it."""
+
+    folder: Path
+    note: str | None
+
+
 def save_map(
     wanted: Path, mapper: Mapper, drops: Drops, wall: float, facts: dict[str, Any]
-) -> Path:
+) -> Saved:
     """Write the files of ``map`` into ``wanted``, or into ``wanted_2`` and so on where it exists.
 
     ``drops`` is what was lost before the mapper, ``wall`` the seconds since the first
-    measurement, ``facts`` more keys of stats.json. Returns the folder that was made. Raises
-    OutputError where there is nothing to save or the folder cannot be written.
+    measurement, ``facts`` more keys of stats.json. Raises OutputError where there is nothing to
+    save or the folder cannot be written.
     """
     result = mapper.result()
     if not result.clusters:
@@ -38,16 +48,25 @@ def save_map(
         stats |= {'interrupted': False, 'map_points': len(points), **facts}
         run = Run(result, points, None, stats, False)
         write_result(scratch, result, points, stats)
-        draw_pictures(scratch, run, None)
+        note = _draw(scratch, run)
         place = _free_name(target)
         scratch.rename(place)
         scratch = None
-        return place
+        return Saved(place, note)
     except OSError as error:
         raise OutputError(f'{target}: cannot be written ({error.strerror or error})') from error
     finally:
         if scratch is not None:
             shutil.rmtree(scratch, ignore_errors=True)
+
+
+def _draw(folder: Path, run: Run) -> str | None:
+    """Draw the pictures; returns a remark where they cannot be drawn."""
+    try:
+        return draw_pictures(folder, run, None)
+    # The drawing library may raise anything, and a map is worth saving without pictures.
+    except Exception:
+        return f'no pictures:\n{traceback.format_exc()}'
 
 
 def _free_name(target: Path) -> Path:

@@ -244,7 +244,10 @@ class Worker:
     def _save(self, folder: Path) -> Path:
         counts = dict(self._mapper.stats()['received'])
         source = {'path': 'ROS topics', 'kind': 'ROS topics', 'counts': counts, 'notes': []}
-        return save_map(folder, self._mapper, self.drops(), self._wall(), {'input': source})
+        saved = save_map(folder, self._mapper, self.drops(), self._wall(), {'input': source})
+        if saved.note is not None:
+            self._emit(Trouble(saved.note))
+        return saved.folder
 
     def _wall(self) -> float:
         return 0.0 if self._started is None else time.perf_counter() - self._started

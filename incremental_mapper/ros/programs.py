@@ -1,0 +1,90 @@
+"""The node and the player as programs of their own: how they are called, started and ended."""
+
+import os
+import random
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, TypeAlias
+
+from incremental_mapper.errors import InputError
+
+Output: TypeAlias = IO[str] | int | None
+"""Where a program's text goes: an open file, one of the constants of subprocess, or ours."""
+
+DOMAINS = range(1, 101)
+"""Above 101 the ports may be taken by outgoing connections."""
+_FIRST_PORT, _PORTS_OF_A_DOMAIN = 7410, 250
+_PATIENCE = 30.0
+"""Seconds that a program has to end by itself: the node maps what waits and saves."""
+
+
+def free_domain(taken: Collection[int] = ()) -> int:
+    """A ROS domain that nobody on this machine uses; raises InputError where there is none."""
+    for domain in random.SystemRandom().sample(DOMAINS, len(DOMAINS)):
+        if domain in taken:
+            continue
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                # DDS gives this port to the first participant of the domain.
+                probe.bind(('', _FIRST_PORT + _PORTS_OF_A_DOMAIN * domain))
+            except OSError:
+                continue
+        return domain
+    raise InputError('every ROS domain is in use on this machine')
+
+
+def local_environment(domain: int) -> dict[str, str]:
+    """This process's environment, with ROS kept to this machine and to one domain."""
+    local = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', 'ROS_DOMAIN_ID': str(domain)}
+    return {**os.environ, **local}
+
+
+def node_command(
+    files: Sequence[Path] = (), parameters: Mapping[str, object] | None = None
+) -> list[str]:
+    """The node with parameter files, later ones first, and single parameters over them."""
+    words = [sys.executable, '-m', 'incremental_mapper.ros.node', '--ros-args']
+    for file in files:
+        words += ['--params-file', str(file)]
+    for name, value in (parameters or {}).items():
+        words += ['-p', f'{name}:={value}']
+    return words
+
+
+def player_command(bag: Path, *options: object) -> list[str]:
+    """``incremental_mapper play`` of a bag."""
+    words = [sys.executable, '-m', 'incremental_mapper.cli.main', 'play', str(bag)]
+    return words + [str(option) for option in options]
+
+
+@contextmanager
+def running(
+    command: Sequence[str],
+    environment: Mapping[str, str],
+    stdout: Output = None,
+    stderr: Output = None,
+) -> Iterator['subprocess.Popen[str]']:
+    """A program that runs while the block does, and is asked to end behind it, then made to."""
+    process = subprocess.Popen(
+        command,
+        env=environment,
+        stdin=subprocess.DEVNULL,
+        stdout=stdout,
+        stderr=stderr,
+        text=True,
+    )
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            process.send_signal(signal.SIGTERM)
+            try:
+                process.communicate(timeout=_PATIENCE)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.communicate()
