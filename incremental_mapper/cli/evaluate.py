@@ -1,0 +1,148 @@
+"""``incremental_mapper evaluate``: every strategy on every input, and the paper's table."""
+
+import argparse
+import shlex
+import sys
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from incremental_mapper.config import Tree, make_config, merge, read_yaml
+from incremental_mapper.criteria.criterion import strategy_names
+from incremental_mapper.errors import ConfigError
+from incremental_mapper.evaluation.evaluate import Plan, evaluate, prepare_out_dir, unfinished
+from incremental_mapper.evaluation.jobs import Outcome, Status, plan_jobs
+from incremental_mapper.evaluation.workers import ClusterWorkers, LocalWorkers, Workers
+
+STRATEGIES = 'base,mom,min_time_shift,min_solver_error'
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the command to the ``argparse`` sub-parsers of the program."""
+    parser = subparsers.add_parser(
+        'evaluate',
+        help='map drives with every strategy and compare',
+        description='Map every input with every strategy and compare: the table of the paper on '
+        'the terminal and as table.csv, table.md and table.tex, the page report.html, and the '
+        'output of each run in DIR/<input>/<strategy>/. What is done already is not run again '
+        'unless the input, the settings or the program changed.',
+    )
+    parser.add_argument(
+        'inputs',
+        type=Path,
+        nargs='+',
+        metavar='INPUT',
+        help='KAIST folder, rosbag2, ROS 1 bag, or folder of .bin scans',
+    )
+    parser.add_argument(
+        '--out', type=Path, required=True, metavar='DIR', help='folder to write into'
+    )
+    parser.add_argument(
+        '--strategies',
+        default=STRATEGIES,
+        metavar='A,B,...',
+        help='strategies in the order of the table (default: %(default)s)',
+    )
+    parser.add_argument(
+        '--truth',
+        type=Path,
+        metavar='FILE',
+        help="true poses of all inputs, TUM or KAIST's global_pose.csv (default: what each "
+        'input holds)',
+    )
+    parser.add_argument(
+        '--config', type=Path, metavar='YAML', help='settings, or a ROS parameter file'
+    )
+    parser.add_argument(
+        '--by-motion',
+        action='store_true',
+        help='cut every drive into standing, acceleration, constant speed and deceleration, '
+        'and give each its rows',
+    )
+    workers = parser.add_mutually_exclusive_group()
+    workers.add_argument(
+        '--jobs',
+        type=int,
+        default=1,
+        metavar='N',
+        help='runs side by side, each in a process (default: %(default)s)',
+    )
+    workers.add_argument(
+        '--scheduler',
+        metavar='ADDRESS',
+        help='run on the workers of a Dask cluster, such as tcp://host:8786, that see the same '
+        'folders under the same paths',
+    )
+    parser.add_argument(
+        '--verify',
+        action='store_true',
+        help='score every candidate by direct search too and report the agreement (slow)',
+    )
+    parser.add_argument(
+        '--force',
+        action='store_true',
+        help='run everything again, and write into DIR although it holds something else',
+    )
+    parser.set_defaults(func=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the command; 1 where a job failed. Raises MapperError where nothing can be run."""
+    plan = _plan(args)
+    todo = list(plan.jobs) if args.force else unfinished(plan.jobs)
+    with _workers(args) as workers:
+        prepare_out_dir(plan.out_dir, args.inputs, args.force)
+        done = len(plan.jobs) - len(todo)
+        if done:
+            print(f'{done} of {len(plan.jobs)} jobs were already done', file=sys.stderr)
+        with tqdm(
+            total=len(plan.jobs), initial=done, unit='job', desc='evaluate', disable=None
+        ) as bar:
+
+            def tell(outcome: Outcome) -> None:
+                if outcome.error is not None:
+                    job = outcome.job
+                    bar.write(
+                        f'failed: {job.sequence}, {job.strategy}: {outcome.error}', file=sys.stderr
+                    )
+                bar.update()
+
+            evaluation = evaluate(plan, todo, workers, tell)
+    failed = sum(outcome.status is Status.FAILED for outcome in evaluation.outcomes)
+    return 1 if failed else 0
+
+
+def _plan(args: argparse.Namespace) -> Plan:
+    strategies = tuple(dict.fromkeys(name.strip() for name in args.strategies.split(',')))
+    for name in strategies:
+        if name not in strategy_names():
+            raise ConfigError(
+                f'--strategies: {name!r} is none; known are {", ".join(strategy_names())}'
+            )
+    if args.jobs < 1:
+        raise ConfigError(f'--jobs is {args.jobs}; expected 1 or more')
+    where = str(args.config or 'settings')
+    tree: Tree = {} if args.config is None else read_yaml(args.config)
+    if args.verify:
+        tree = merge(tree, {'selection': {'verify': True}})
+    make_config(tree, where)
+    jobs = plan_jobs(args.inputs, args.out, strategies, tree, where, args.truth)
+    return Plan(
+        out_dir=args.out,
+        jobs=tuple(jobs),
+        strategies=strategies,
+        settings=tree,
+        settings_from=where,
+        command=shlex.join(['incremental_mapper', *sys.argv[1:]]),
+        by_motion=args.by_motion,
+    )
+
+
+def _workers(args: argparse.Namespace) -> Workers:
+    if args.scheduler is None:
+        return LocalWorkers(args.jobs)
+    cluster = ClusterWorkers(args.scheduler)
+    if cluster.count == 0:
+        print('note: the cluster has no workers yet; waiting for some', file=sys.stderr)
+    return cluster

@@ -1,0 +1,119 @@
+"""Which runs of an evaluation are done already.
+
+A run is known by a key over everything that its numbers depend on. The key is written into the
+run's folder after all other files, so a run that was cut short never counts as finished.
+
+An input is recognised by the names, sizes and modification times of its files, not by their
+contents: a drive of 20 GB is looked through in a second, and tools that change a file without
+touching either do not occur in practice. ``--force`` runs everything again.
+"""
+
+import hashlib
+import json
+from collections.abc import Iterable, Iterator, Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import incremental_mapper
+from incremental_mapper.datasets.truth import TRUTH_FILES
+from incremental_mapper.evaluation.run import versions
+from incremental_mapper.mapper.output import FILES
+
+MARK = 'finished.json'
+UNRELATED = ('cli', 'ros', 'evaluation')
+"""Parts of the package that no number of a run depends on, but for ``RELATED``."""
+RELATED = ('evaluation/run.py', 'evaluation/trajectory_error.py')
+
+
+def digest(tree: Any) -> str:
+    """A short fingerprint of plain values."""
+    text = json.dumps(tree, sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()[:32]
+
+
+def input_fingerprint(path: Path) -> str:
+    """Fingerprint of an input: names, sizes and modification times of all its files.
+
+    Truth that may lie beside the input belongs to it. An input that is missing or cannot be
+    listed has the fingerprint of nothing; opening it tells what is wrong.
+    """
+    return digest(sorted(_facts(path)))
+
+
+def file_fingerprint(path: Path | None) -> str:
+    """The same for one file, or for none."""
+    return digest([] if path is None or not path.is_file() else [_fact(path, path.parent)])
+
+
+def code_fingerprint(files: Iterable[Path]) -> str:
+    """Fingerprint of the contents of source files."""
+    return hashlib.sha256(b''.join(path.read_bytes() for path in files)).hexdigest()[:16]
+
+
+@cache
+def program() -> dict[str, str]:
+    """What computes the numbers: versions, and the package's own code.
+
+    The code counts by its contents, so that a checkout whose version stays the same does not pass
+    off old numbers as new ones.
+    """
+    root = Path(incremental_mapper.__file__).parent
+    files = [
+        path
+        for path in sorted(root.rglob('*.py'))
+        if path.relative_to(root).parts[0] not in UNRELATED
+        or path.relative_to(root).as_posix() in RELATED
+    ]
+    return versions() | {'code': code_fingerprint(files)}
+
+
+def is_finished(folder: Path, key: str) -> bool:
+    """Whether a folder holds the whole run that ``key`` stands for."""
+    try:
+        mark = json.loads((folder / MARK).read_text(encoding='utf-8'))
+        names = [*FILES, *mark['files']]
+        return bool(mark['key'] == key) and all((folder / name).is_file() for name in names)
+    except (OSError, ValueError, KeyError, TypeError):
+        return False
+
+
+def mark_finished(folder: Path, key: str, made_of: Mapping[str, Any]) -> None:
+    """Declare a run finished; ``made_of`` tells a reader what the key was computed from."""
+    files = sorted(path.name for path in folder.iterdir() if path.name != MARK)
+    write_json(folder / MARK, {'key': key, 'files': files, **made_of})
+
+
+def clear(folder: Path) -> None:
+    """Remove what an earlier run left in a folder, its mark first, and nothing else."""
+    mark = folder / MARK
+    try:
+        names = json.loads(mark.read_text(encoding='utf-8'))['files']
+    except (OSError, ValueError, KeyError, TypeError):
+        names = []
+    mark.unlink(missing_ok=True)
+    for name in [*FILES, *names]:
+        # A name with a slash is none that this module wrote.
+        if Path(name).name == name:
+            (folder / name).unlink(missing_ok=True)
+
+
+def write_json(path: Path, tree: Any) -> None:
+    """Write plain values so that a reader sees the old file or the new one, never a part."""
+    partial = path.with_name(f'.{path.name}.partial')
+    text = json.dumps(tree, indent=2, allow_nan=False, default=str)
+    partial.write_text(text + '\n', encoding='utf-8')
+    partial.replace(path)
+
+
+def _facts(path: Path) -> Iterator[tuple[str, int, int]]:
+    inside = sorted(path.rglob('*')) if path.is_dir() else [path]
+    beside = [path.parent / name for name in TRUTH_FILES]
+    for file in [*inside, *beside]:
+        if file.is_file():
+            yield _fact(file, path.parent)
+
+
+def _fact(file: Path, root: Path) -> tuple[str, int, int]:
+    status = file.stat()
+    return (file.relative_to(root).as_posix(), status.st_size, status.st_mtime_ns)

@@ -1,0 +1,124 @@
+"""How good a map is beside the base map of the same drive.
+
+Two numbers: how far its points are from the base map, and how thick its planes are. Both maps
+may be georeferenced a little differently, so the map is first moved by the rigid transform that
+brings its trajectory onto the base trajectory.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
+
+from incremental_mapper.config import MomSettings
+from incremental_mapper.criteria.neighbourhoods import find_pairs, outer_products, sum_moments
+from incremental_mapper.criteria.planes import (
+    covariances,
+    smallest_eigenvalues,
+    spread_positions,
+)
+from incremental_mapper.evaluation.finished import FinishedRun
+from incremental_mapper.geometry import transform_points
+from incremental_mapper.trajectory import Trajectory
+
+PLACES = 4000
+"""Places of the base map at which planes are looked at; more do not change the mean."""
+
+
+@dataclass(frozen=True, slots=True)
+class MapQuality:
+    """Mean distance (m) of a map's points to the base map's nearest one, and mean plane variance.
+
+    ``plane_variance_m2`` is the mean smallest eigenvalue (m^2) of the covariances of the map's
+    points around the planar places of the base map: the same places judge every strategy.
+    None where nothing could be compared.
+    """
+
+    map_distance_m: float | None
+    plane_variance_m2: float | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlacedMap:
+    """Map points (N, 3) and the trajectory that they were placed by, in one frame."""
+
+    points: NDArray[np.float64]
+    trajectory: Trajectory
+
+
+def read_map(folder: Path) -> PlacedMap:
+    """The map of a finished run; raises InputError where it cannot be read."""
+    run = FinishedRun(folder)
+    return PlacedMap(run.points, run.trajectory)
+
+
+def compare_maps(own: PlacedMap, base: PlacedMap | None, settings: MomSettings) -> MapQuality:
+    """Compare a map with the base map; radius and planarity are those of the MOM settings.
+
+    Without a base map there is no distance, and the map's own planes are looked at.
+    """
+    points, distance = own.points, None
+    reference = own if base is None else base
+    if len(points) == 0 or len(reference.points) == 0:
+        return MapQuality(None, None)
+    if base is not None:
+        points = transform_points(fit_poses(own.trajectory, base.trajectory), points)
+        distance = float(KDTree(base.points).query(points, workers=-1)[0].mean())
+    places = planar_places(reference.points, settings)
+    return MapQuality(distance, plane_variance(points, places, settings))
+
+
+def planar_places(points: NDArray[np.float64], settings: MomSettings) -> NDArray[np.float64]:
+    """Points (P, 3) of a map (N, 3) whose neighbourhoods are planar."""
+    places = points[spread_positions(len(points), PLACES)]
+    counts, spread = _neighbourhoods(points, places, settings.radius)
+    values = np.linalg.eigvalsh(spread)
+    planar = (counts >= settings.min_neighbours) & (
+        values[:, 1] > settings.eigenvalue_ratio * np.maximum(values[:, 0], 0.0)
+    )
+    chosen: NDArray[np.float64] = places[planar]
+    return chosen
+
+
+def plane_variance(
+    points: NDArray[np.float64], places: NDArray[np.float64], settings: MomSettings
+) -> float | None:
+    """Mean smallest eigenvalue (m^2) of the neighbourhoods of ``places`` (P, 3) in ``points``.
+
+    Places with too few neighbours are left out; None where there is no other.
+    """
+    if len(places) == 0:
+        return None
+    counts, spread = _neighbourhoods(points, places, settings.radius)
+    enough = counts >= settings.min_neighbours
+    return float(smallest_eigenvalues(spread[enough]).mean()) if enough.any() else None
+
+
+def fit_poses(estimate: Trajectory, target: Trajectory) -> NDArray[np.float64]:
+    """The rigid transform T_target_estimate (4, 4) between the frames of two trajectories.
+
+    The mean over all poses, orientation included, so that it is determined for a standing car
+    too, whose positions leave the rotation open. The identity where they share no time.
+    """
+    transform = np.eye(4)
+    stamps = estimate.stamps[target.covers(estimate.stamps)]
+    if len(stamps) == 0:
+        return transform
+    own, other = estimate.interpolate(stamps), target.interpolate(stamps)
+    turn: Rotation = (other.rotations() * own.rotations().inv()).mean()
+    transform[:3, :3] = turn.as_matrix()
+    transform[:3, 3] = (other.positions - turn.apply(own.positions)).mean(axis=0)
+    return transform
+
+
+def _neighbourhoods(
+    points: NDArray[np.float64], places: NDArray[np.float64], radius: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Numbers of neighbours (P,) and covariances (P, 3, 3) of ``places``."""
+    centre = places.mean(axis=0)  # near numbers keep the moments exact
+    pairs = find_pairs(points - centre, places - centre, radius)
+    moments = sum_moments(pairs, outer_products(points - centre), len(places))[0]
+    return moments[:, 3, 3], covariances(moments)

@@ -1,0 +1,182 @@
+"""``evaluation.json``: what an evaluation ran and found, for the report and other programs.
+
+    format      1
+    command     the command line that made it
+    created     UTC time, ISO 8601
+    status      'running', then 'finished'
+    strategies  list of names, in the order of the table
+    settings    the user's settings tree, without what the inputs bring themselves
+    settings_from   the file that they came from, or 'settings'
+    versions    of the package, its code, Python and the libraries
+    rows        the table's rows: name, title, unit scale, decimals, whether higher is better
+    remarks     lines that stand below the table
+    sequences   list of: name; input (path); kind (of input, null where none could be opened);
+                motion (of the paper's four, where the name begins with one, else null); label (the
+                name without the motion); truth (path of its TUM file in the folder, or null);
+                segments (list of motion, start_ns, end_ns) and segments_from ('truth', or the
+                strategy whose estimate was cut, or null); segments only with --by-motion
+    jobs        list, sequence by sequence, of: sequence; strategy; folder (path in the
+                folder); status ('done', 'failed', or 'waiting' while it runs); error (one
+                line, or null); reused (nothing had to be run); metrics (numbers of the drive
+                by the names of ``rows``; null where there is none); by_motion (motion to such
+                numbers; empty without --by-motion); settings and versions (effective ones, from
+                stats.json; null unless done)
+
+Paths are relative to the folder of ``evaluation.json``, inputs absolute. Each job's folder holds
+the files of a ``map`` run; ``truth.tum`` lies beside the folders of a sequence's strategies.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from incremental_mapper.config import Tree
+from incremental_mapper.evaluation import cache
+from incremental_mapper.evaluation.finished import FinishedRun
+from incremental_mapper.evaluation.jobs import TRUTH_FILE, Job, Outcome, Status
+from incremental_mapper.evaluation.metrics import Metrics
+from incremental_mapper.evaluation.segments import Motion, Segment, motion_of_name
+from incremental_mapper.evaluation.table import ROWS, Entry
+
+RECORD_FILE = 'evaluation.json'
+FORMAT = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """The numbers of one job; empty where it failed."""
+
+    metrics: Metrics = field(default_factory=dict)
+    by_motion: dict[Motion, Metrics] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Pieces:
+    """A sequence cut by motion, and whose poses it was cut by."""
+
+    segments: tuple[Segment, ...] = ()
+    source: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluation:
+    """Everything that an evaluation ran and found; ``found`` goes with ``outcomes``."""
+
+    out_dir: Path
+    command: str
+    strategies: tuple[str, ...]
+    settings: Tree
+    settings_from: str
+    outcomes: tuple[Outcome, ...]
+    found: tuple[Found, ...] = ()
+    pieces: Mapping[str, Pieces] = field(default_factory=dict)
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def finished(self) -> bool:
+        """Whether every job has come to an end."""
+        return all(outcome.status is not Status.WAITING for outcome in self.outcomes)
+
+
+def write_record(evaluation: Evaluation) -> Path:
+    """Write ``evaluation.json``; returns its path."""
+    path = evaluation.out_dir / RECORD_FILE
+    cache.write_json(path, _tree(evaluation))
+    return path
+
+
+def entries(evaluation: Evaluation, by_motion: bool) -> list[Entry]:
+    """The table's entries: whole drives, or the pieces of each motion.
+
+    A failed job has an entry without numbers, which goes with each motion of its sequence.
+    """
+    made = []
+    for outcome, found in zip(evaluation.outcomes, evaluation.found, strict=True):
+        job = outcome.job
+        if not by_motion:
+            motion = motion_of_name(job.sequence)[0]
+            made.append(Entry(job.sequence, motion, job.strategy, found.metrics, outcome.error))
+            continue
+        pieces = evaluation.pieces.get(job.sequence, Pieces())
+        motions = [m for m in Motion if any(piece.motion is m for piece in pieces.segments)]
+        choice: list[Motion | None] = [*motions] or [None]
+        for motion in choice:
+            metrics = {} if motion is None else found.by_motion.get(motion, {})
+            made.append(Entry(job.sequence, motion, job.strategy, metrics, outcome.error))
+    return made
+
+
+def _tree(evaluation: Evaluation) -> dict[str, Any]:
+    found = evaluation.found or tuple(Found() for _ in evaluation.outcomes)
+    done: dict[str, list[Outcome]] = {}
+    for outcome in evaluation.outcomes:
+        done.setdefault(outcome.job.sequence, []).append(outcome)
+    return {
+        'format': FORMAT,
+        'command': evaluation.command,
+        'created': datetime.now(UTC).isoformat(timespec='seconds'),
+        'status': 'finished' if evaluation.finished else 'running',
+        'strategies': list(evaluation.strategies),
+        'settings': evaluation.settings,
+        'settings_from': evaluation.settings_from,
+        'versions': cache.program(),
+        'rows': [
+            {
+                'name': row.name,
+                'title': row.title,
+                'scale': row.scale,
+                'decimals': row.decimals,
+                'higher_is_better': row.higher,
+            }
+            for row in ROWS
+        ],
+        'remarks': list(evaluation.remarks),
+        'sequences': [_sequence(evaluation, name, outcomes) for name, outcomes in done.items()],
+        'jobs': [
+            _job(evaluation.out_dir, outcome, numbers)
+            for outcome, numbers in zip(evaluation.outcomes, found, strict=True)
+        ],
+    }
+
+
+def _sequence(evaluation: Evaluation, name: str, outcomes: Sequence[Outcome]) -> dict[str, Any]:
+    motion, label = motion_of_name(name)
+    pieces = evaluation.pieces.get(name, Pieces())
+    finished = [outcome.job for outcome in outcomes if outcome.status is Status.DONE]
+    truth = evaluation.out_dir / name / TRUTH_FILE
+    return {
+        'name': name,
+        'label': label,
+        'input': str(outcomes[0].job.input),
+        'kind': _stats(finished[0])['input']['kind'] if finished else None,
+        'motion': motion,
+        'truth': f'{name}/{TRUTH_FILE}' if finished and truth.is_file() else None,
+        'segments': [
+            {'motion': piece.motion, 'start_ns': piece.start, 'end_ns': piece.end}
+            for piece in pieces.segments
+        ],
+        'segments_from': pieces.source,
+    }
+
+
+def _job(out_dir: Path, outcome: Outcome, found: Found) -> dict[str, Any]:
+    job = outcome.job
+    stats: Mapping[str, Any] = _stats(job) if outcome.status is Status.DONE else {}
+    return {
+        'sequence': job.sequence,
+        'strategy': job.strategy,
+        'folder': job.folder.relative_to(out_dir).as_posix(),
+        'status': outcome.status,
+        'error': outcome.error,
+        'reused': outcome.reused,
+        'metrics': found.metrics,
+        'by_motion': found.by_motion,
+        'settings': stats.get('settings'),
+        'versions': stats.get('versions'),
+    }
+
+
+def _stats(job: Job) -> Mapping[str, Any]:
+    return FinishedRun(job.folder).stats
