@@ -11,17 +11,13 @@ from scipy.optimize import isotonic_regression
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from incremental_mapper.evaluation.pictures import (
-    BLUE,
+from incremental_mapper.evaluation.figure import (
     DPI,
-    GREEN,
-    GREY,
-    INK,
-    ORANGE,
-    PURPLE,
-    SKY,
-    VERMILLION,
-    WIDTH_PX,
+    WHOLE,
+    Look,
+    Theme,
+    axes_pixels,
+    box,
     new_figure,
     plain,
     save,
@@ -31,6 +27,7 @@ from incremental_mapper.trajectory import NANOSECONDS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Record: TypeAlias = Mapping[str, Any]
 Spot: TypeAlias = tuple[float, float]
@@ -41,16 +38,9 @@ ROW_NAMES = {'pose': 'X  pose', 'velocity': 'V  velocity', 'bias': 'B  bias'}
 FIRST_SENSOR_ROW = -3.5
 SENSOR_ROW_STEP = 0.55
 LOWEST_ARC, ARC_STEP = 0.75, 0.62
-LIDAR_COLOURS = (BLUE, VERMILLION, PURPLE, SKY)
-GNSS_COLOUR = GREEN
-IMU_COLOUR = ORANGE
-BOX_COLOURS = ('#E4EDF5', '#F3EEDF')
-"""Fill of the cluster boxes in even and odd windows."""
-LOOSE_FILL, LOOSE_EDGE = '#FBD5D5', '#B2182B'
 FACTOR_SIZE = 9
 """Side of a factor's square in pixels."""
 SMALLEST_LABELLED_NODE = 16
-LEFT, BOTTOM, WIDTH, HEIGHT = 0.095, 0.13, 0.89, 0.79
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,10 +50,11 @@ class _Scene:
     ``places`` and ``spots`` are where clusters (seconds since ``origin``) and variables (the same
     and a height) are drawn; ``origin`` is the stamp of the graph's first cluster in nanoseconds.
     ``node`` is the diameter of a variable in pixels, ``pixel`` the seconds that a pixel is wide.
-    ``sensors`` has the heights of the sensors' rows.
+    ``sensors`` has the heights of the sensors' rows, ``colours`` their colours.
     """
 
     axes: 'Axes'
+    look: Look
     origin: int
     pixel: float
     node: float
@@ -73,54 +64,80 @@ class _Scene:
     lidars: list[str]
     colours: dict[str, str]
 
+    @property
+    def theme(self) -> Theme:
+        """The colours of the picture."""
+        return self.look.theme
+
     def seconds(self, stamp_ns: int) -> float:
         return (stamp_ns - self.origin) / NANOSECONDS
 
 
-def draw_graph(path: Path, graph: Record, start_ns: int, end_ns: int) -> None:
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """How much of a graph a picture shows; ``loose`` of the ``variables`` are not connected."""
+
+    clusters: int
+    variables: int
+    factors: int
+    loose: int
+
+
+def draw_graph(path: Path, graph: Record, start_ns: int, end_ns: int, look: Look = WHOLE) -> None:
     """Draw the part of ``graph`` (the layout of graph.json) between two stamps.
 
     A span of one to two seconds is legible. Variables that no path of factors joins to the
     largest part of the graph are marked. Raises OutputError where matplotlib is missing or the
     file cannot be written, ValueError where the span is empty.
     """
+    save(graph_figure(graph, start_ns, end_ns, look)[0], path)
+
+
+def graph_figure(graph: Record, start_ns: int, end_ns: int, look: Look) -> tuple['Figure', Shown]:
+    """The figure that ``draw_graph`` saves, and how much it shows."""
+    figure = new_figure(look)
+    margins = (152, 117, 24, 72) if look.heading else (round(8.5 * look.text), 50, 10, 8)
+    axes = figure.add_axes(box(look, *margins))
+    shown = paint_graph(axes, graph, start_ns, end_ns, look)
+    origin = min((item['stamp_ns'] for item in graph['clusters']), default=start_ns)
+    span = [f'{(stamp - origin) / NANOSECONDS:.2f} s' for stamp in (start_ns, end_ns)]
+    facts = f'{shown.clusters} clusters, {shown.variables} variables, {shown.factors} factors'
+    title(figure, 'Factor graph', f'{facts} between {span[0]} and {span[1]}', look)
+    if look.heading:
+        add_graph_legend(figure, [graph], look)
+    return figure, shown
+
+
+def paint_graph(axes: 'Axes', graph: Record, start_ns: int, end_ns: int, look: Look) -> Shown:
+    """Draw a piece of a graph into axes; raises ValueError where the span is empty."""
     if end_ns <= start_ns:
         raise ValueError(f'the span from {start_ns} to {end_ns} is empty')
-    figure = new_figure()
-    axes = figure.add_axes((LEFT, BOTTOM, WIDTH, HEIGHT))
     clusters = [item for item in graph['clusters'] if start_ns <= item['stamp_ns'] <= end_ns]
-    scene = _make_scene(axes, graph, clusters, start_ns, end_ns)
+    scene = _make_scene(axes, look, graph, clusters, start_ns, end_ns)
     _draw_clusters(scene, clusters)
     shown = {item['id'] for item in clusters}
     factors = _draw_factors(scene, graph, shown)
-    variables = _draw_variables(scene, graph, shown)
+    variables, loose = _draw_variables(scene, graph, shown)
     _finish(scene, start_ns, end_ns)
-    title(
-        figure,
-        'Factor graph',
-        f'{len(clusters)} clusters, {variables} variables, {factors} factors between '
-        f'{scene.seconds(start_ns):.2f} s and {scene.seconds(end_ns):.2f} s',
-    )
-    _add_legend(scene, graph)
-    save(figure, path)
+    return Shown(len(clusters), variables, factors, loose)
 
 
 def _make_scene(
-    axes: 'Axes', graph: Record, clusters: Sequence[Record], start_ns: int, end_ns: int
+    axes: 'Axes',
+    look: Look,
+    graph: Record,
+    clusters: Sequence[Record],
+    start_ns: int,
+    end_ns: int,
 ) -> _Scene:
     origin = min((item['stamp_ns'] for item in graph['clusters']), default=start_ns)
     # Sensors of the whole graph, so that pictures of different spans have the same rows.
-    kinds = {
-        member['sensor']: member['kind'] for item in graph['clusters'] for member in item['members']
-    }
-    lidars = sorted(name for name, kind in kinds.items() if kind == 'lidar')
-    others = sorted(name for name, kind in kinds.items() if kind != 'lidar')
+    lidars, others = _sensors(graph)
     rows = {
         name: FIRST_SENSOR_ROW - SENSOR_ROW_STEP * row for row, name in enumerate(lidars + others)
     }
-    colours = {name: LIDAR_COLOURS[index % len(LIDAR_COLOURS)] for index, name in enumerate(lidars)}
-    colours.update({name: GNSS_COLOUR for name in others})
-    pixel = (end_ns - start_ns) / NANOSECONDS / (WIDTH * WIDTH_PX)
+    colours = _sensor_colours(lidars, others, look.theme)
+    pixel = (end_ns - start_ns) / NANOSECONDS / axes_pixels(axes)[0]
     stamps = np.array(sorted(item['stamp_ns'] for item in clusters), dtype=np.int64)
     gaps = np.diff(stamps) / NANOSECONDS / pixel
     # The few pairs that are closer than this are moved apart.
@@ -131,7 +148,22 @@ def _make_scene(
     spots = {
         item['key']: (places[item['cluster']], ROWS[item['kind']]) for item in graph['variables']
     }
-    return _Scene(axes, origin, pixel, node, places, spots, rows, lidars, colours)
+    return _Scene(axes, look, origin, pixel, node, places, spots, rows, lidars, colours)
+
+
+def _sensors(graph: Record) -> tuple[list[str], list[str]]:
+    """Names of the LiDARs and of the other sensors, sorted."""
+    kinds = {
+        member['sensor']: member['kind'] for item in graph['clusters'] for member in item['members']
+    }
+    lidars = sorted(name for name, kind in kinds.items() if kind == 'lidar')
+    return lidars, sorted(kinds.keys() - set(lidars))
+
+
+def _sensor_colours(lidars: Sequence[str], others: Sequence[str], theme: Theme) -> dict[str, str]:
+    palette = theme.lidars
+    colours = {name: palette[index % len(palette)] for index, name in enumerate(lidars)}
+    return colours | {name: theme.green for name in others}
 
 
 def _spread(clusters: Sequence[Record], origin: int, gap: float) -> dict[int, float]:
@@ -171,7 +203,8 @@ def _draw_clusters(scene: _Scene, clusters: Sequence[Record]) -> None:
             right = (edges[index + 1][0] + right) / 2 - scene.pixel
         box = FancyBboxPatch(
             (left, bottom), right - left, 0.42 - bottom, boxstyle='square,pad=0',
-            facecolor=BOX_COLOURS[item['window'] % 2], edgecolor='#A9B7C4', linewidth=1.0, zorder=1,
+            facecolor=(scene.theme.even, scene.theme.odd)[item['window'] % 2],
+            edgecolor=scene.theme.edge, linewidth=1.0, zorder=1,
         )  # fmt: skip
         scene.axes.add_patch(box)
         for member in item['members']:
@@ -198,18 +231,18 @@ def _draw_factors(scene: _Scene, graph: Record, shown: set[int]) -> int:
             _draw_arc(scene, spots, scene.colours[factor['sensor']], above[factor['sensor']])
         elif kind == 'imu':
             hub = ((min(x for x, _ in spots) + max(x for x, _ in spots)) / 2, ROWS['velocity'])
-            _draw_star(scene, hub, spots, IMU_COLOUR)
+            _draw_star(scene, hub, spots, scene.theme.orange)
         elif kind == 'gnss':
             # Several fixes of one pose stand side by side.
             shift = fixes[keys[0]] * FACTOR_SIZE * 1.3 * scene.pixel
-            _draw_star(scene, (spots[0][0] + shift, spots[0][1] - 0.56), spots, GNSS_COLOUR)
+            _draw_star(scene, (spots[0][0] + shift, spots[0][1] - 0.56), spots, scene.theme.green)
             fixes[keys[0]] += 1
         elif len(spots) == 1:
             shift = (scene.node / 2 + FACTOR_SIZE * 1.3) * scene.pixel
-            _draw_star(scene, (spots[0][0] - shift, spots[0][1]), spots, INK)
+            _draw_star(scene, (spots[0][0] - shift, spots[0][1]), spots, scene.theme.ink)
         else:
             x, y = np.mean(spots, axis=0)
-            _draw_star(scene, (float(x), float(y)), spots, GREY)
+            _draw_star(scene, (float(x), float(y)), spots, scene.theme.grey)
     return drawn
 
 
@@ -240,30 +273,30 @@ def _draw_star(scene: _Scene, centre: Spot, spots: Sequence[Spot], colour: str) 
 def _draw_square(scene: _Scene, centre: Spot, colour: str) -> None:
     scene.axes.plot(
         *centre, linestyle='', marker='s', markersize=FACTOR_SIZE * 72 / DPI, color=colour,
-        markeredgecolor='white', markeredgewidth=0.6, zorder=5,
+        markeredgecolor=scene.theme.ground, markeredgewidth=0.6, zorder=5,
     )  # fmt: skip
 
 
-def _draw_variables(scene: _Scene, graph: Record, shown: set[int]) -> int:
-    """Draw the variables of the shown clusters; returns how many there are."""
-    loose = loose_variables(graph)
+def _draw_variables(scene: _Scene, graph: Record, shown: set[int]) -> tuple[int, int]:
+    """Draw the variables of the shown clusters; how many there are, and how many are loose."""
+    theme, loose = scene.theme, loose_variables(graph)
     drawn = [item for item in graph['variables'] if item['cluster'] in shown]
     for item in drawn:
         x, y = scene.spots[item['key']]
         isolated = item['key'] in loose
         scene.axes.plot(
             x, y, linestyle='', marker='o', markersize=scene.node * 72 / DPI,
-            markerfacecolor=LOOSE_FILL if isolated else 'white',
-            markeredgecolor=LOOSE_EDGE if isolated else INK,
-            markeredgewidth=1.8 if isolated else 1.3, zorder=6,
+            markerfacecolor=theme.loose if isolated else theme.node,
+            markeredgecolor=theme.loose_edge if isolated else theme.ink,
+            markeredgewidth=2.2 if isolated else 1.3, zorder=6,
         )  # fmt: skip
         if scene.node >= SMALLEST_LABELLED_NODE:
             scene.axes.text(
                 x, y, str(item['cluster']), ha='center', va='center_baseline', zorder=7,
-                fontsize=scene.node * (0.33 if item['cluster'] > 99 else 0.4), color=INK,
+                fontsize=scene.node * (0.33 if item['cluster'] > 99 else 0.4), color=theme.ink,
                 clip_on=True,
             )  # fmt: skip
-    return len(drawn)
+    return len(drawn), sum(item['key'] in loose for item in drawn)
 
 
 def loose_variables(graph: Record) -> set[str]:
@@ -292,46 +325,60 @@ def _finish(scene: _Scene, start_ns: int, end_ns: int) -> None:
     axes.set_ylim(min(scene.sensors.values(), default=ROWS['bias']) - 0.45, top)
     rows = {ROW_NAMES[kind]: height for kind, height in ROWS.items()} | scene.sensors
     axes.set_yticks(list(rows.values()), labels=list(rows))
-    axes.set_xlabel('seconds since the first cluster', fontsize=12)
-    plain(axes)
-    axes.tick_params(axis='y', length=0, labelsize=13, pad=12)
+    axes.set_xlabel('seconds since the first cluster')
+    plain(axes, scene.look)
+    axes.tick_params(axis='y', length=0, labelsize=scene.look.text + 1, pad=12)
     for label, name in zip(axes.get_yticklabels(), rows, strict=True):
-        label.set_color(scene.colours.get(name, INK))
+        label.set_color(scene.colours.get(name, scene.theme.ink))
     for height in rows.values():
-        axes.axhline(height, color='#E9E9E9', linewidth=0.8, zorder=0)
+        axes.axhline(height, color=scene.theme.grid, linewidth=0.8, zorder=0)
     for side in ('left', 'right', 'top'):
         axes.spines[side].set_visible(False)
 
 
-def _add_legend(scene: _Scene, graph: Record) -> None:
-    """What the graph holds, in one row below the time axis."""
+def graph_legend(graphs: Sequence[Record], theme: Theme) -> list[tuple[str, str, str, str]]:
+    """What pictures of the graphs show: label, shape (node, factor or box), fill and edge."""
+    kinds = {factor['kind'] for graph in graphs for factor in graph['factors']}
+    lidars = sorted({name for graph in graphs for name in _sensors(graph)[0]})
+    colours = _sensor_colours(lidars, [], theme)
+    factors = [(f'odometry {name}', colours[name]) for name in lidars]
+    factors += [('IMU', theme.orange)] if 'imu' in kinds else []
+    factors += [('GNSS', theme.green)] if 'gnss' in kinds else []
+    factors += [('prior', theme.ink)] if any(kind.startswith('prior') for kind in kinds) else []
+    factors += [('bridge', theme.grey)] if 'bridge' in kinds else []
+    nodes = [('variable', 'node', theme.node, theme.ink)]
+    if any(loose_variables(graph) for graph in graphs):
+        nodes.append(('not connected', 'node', theme.loose, theme.loose_edge))
+    return [
+        *nodes,
+        *((label, 'factor', colour, colour) for label, colour in factors),
+        ('cluster, even window', 'box', theme.even, theme.edge),
+        ('cluster, odd window', 'box', theme.odd, theme.edge),
+    ]
+
+
+def add_graph_legend(figure: 'Figure', graphs: Sequence[Record], look: Look) -> None:
+    """What the graphs hold, in one row at the bottom of the figure."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    kinds = {factor['kind'] for factor in graph['factors']}
-    squares = [(f'odometry {name}', scene.colours[name]) for name in scene.lidars]
-    squares += [('IMU', IMU_COLOUR)] if 'imu' in kinds else []
-    squares += [('GNSS', GNSS_COLOUR)] if 'gnss' in kinds else []
-    squares += [('prior', INK)] if any(kind.startswith('prior') for kind in kinds) else []
-    squares += [('bridge', GREY)] if 'bridge' in kinds else []
-    nodes = [('variable', 'white', INK)]
-    nodes += [('not connected', LOOSE_FILL, LOOSE_EDGE)] if loose_variables(graph) else []
-    circle = [
-        Line2D(
-            [], [], linestyle='', marker='o', markersize=11, markerfacecolor=fill,
-            markeredgecolor=edge, label=label,
-        )
-        for label, fill, edge in nodes
-    ]  # fmt: skip
-    square = [
-        Line2D([], [], color=colour, marker='s', markersize=7, linewidth=1.6, label=label)
-        for label, colour in squares
-    ]
-    boxes = [
-        Patch(facecolor=colour, edgecolor='#A9B7C4', label=f'cluster, {name} window')
-        for colour, name in zip(BOX_COLOURS, ('even', 'odd'), strict=True)
-    ]
-    scene.axes.get_figure(root=True).legend(  # type: ignore[union-attr]
-        handles=[*circle, *square, *boxes], loc='lower center', ncols=12, frameon=False,
-        fontsize=11, handlelength=1.8, columnspacing=1.4, bbox_to_anchor=(0.5, 0.005),
+    handles: list[Line2D | Patch] = []
+    for label, shape, fill, edge in graph_legend(graphs, look.theme):
+        if shape == 'box':
+            handles.append(Patch(facecolor=fill, edgecolor=edge, label=label))
+        elif shape == 'factor':
+            handles.append(
+                Line2D([], [], color=fill, marker='s', markersize=7, linewidth=1.6, label=label)
+            )
+        else:
+            handles.append(
+                Line2D(
+                    [], [], linestyle='', marker='o', markersize=11, markerfacecolor=fill,
+                    markeredgecolor=edge, label=label,
+                )
+            )  # fmt: skip
+    figure.legend(
+        handles=handles, loc='lower center', ncols=12, frameon=False, fontsize=look.text - 1,
+        handlelength=1.8, columnspacing=1.4, bbox_to_anchor=(0.5, 0.005),
+        labelcolor=look.theme.ink,
     )  # fmt: skip

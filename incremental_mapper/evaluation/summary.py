@@ -4,12 +4,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from incremental_mapper.evaluation.finished import GRAPH_SECONDS, interesting_stretch
 from incremental_mapper.evaluation.run import Run
 from incremental_mapper.mapper.output import graph_tree
-from incremental_mapper.trajectory import NANOSECONDS, Trajectory
-
-GRAPH_SECONDS = 1.5
-"""Length of the part of the graph that is drawn: more is not legible."""
+from incremental_mapper.trajectory import Trajectory
 
 
 def summary(stats: Mapping[str, Any]) -> str:
@@ -94,23 +92,8 @@ def draw_pictures(folder: Path, run: Run, truth: Trajectory | None) -> str | Non
     draw_trajectory(folder / 'trajectory.png', result.trajectory, truth, result.fixes)
     draw_map(folder / 'map.png', run.points, result.trajectory)
     graph = graph_tree(result.clusters, result.factors, result.values)
-    start = _interesting_start(run)
-    draw_graph(folder / 'graph.png', graph, start, start + round(GRAPH_SECONDS * NANOSECONDS))
+    draw_graph(folder / 'graph.png', graph, *interesting_stretch(graph, GRAPH_SECONDS))
     return None
-
-
-def _interesting_start(run: Run) -> int:
-    """A stretch around a fix in the middle of the drive: all kinds of factors are in it."""
-    stamps = [placed.cluster.stamp for placed in run.result.clusters]
-    fixes = [
-        core.stamp
-        for placed in run.result.clusters
-        for core in placed.cluster.members
-        if core.kind == 'gnss'
-    ]
-    middle = (stamps[0] + stamps[-1]) // 2
-    centre = min(fixes, key=lambda stamp: abs(stamp - middle), default=middle)
-    return max(centre - round(GRAPH_SECONDS / 2 * NANOSECONDS), stamps[0])
 
 
 def _counts(counts: Mapping[str, int]) -> str:

@@ -1,0 +1,239 @@
+"""Figures, their colours and their files: what all pictures share.
+
+Matplotlib comes with the extra ``report`` and is imported when the first picture is drawn. Its
+object interface keeps no global state, so PNG pictures can be drawn from any thread.
+"""
+
+import io
+import re
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from incremental_mapper.errors import OutputError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+WIDTH_PX = 1600
+HEIGHT_PX = 900
+DPI = 100
+FORMATS = ('.png', '.svg', '.pdf')
+
+
+@dataclass(frozen=True, slots=True)
+class Theme:
+    """The colours of a picture by what they stand for.
+
+    The colours of data are those of Okabe and Ito, which readers with any colour vision can tell
+    apart, and lighter relatives of them on a dark ground.
+    """
+
+    ground: str = '#FFFFFF'
+    ink: str = '#222222'
+    muted: str = '#5F6368'
+    frame: str = '#CCCCCC'
+    grid: str = '#E6E6E6'
+    truth: str = '#BDBDBD'
+    blue: str = '#0072B2'
+    vermillion: str = '#D55E00'
+    purple: str = '#B65A93'
+    sky: str = '#56B4E9'
+    green: str = '#009E73'
+    orange: str = '#E69F00'
+    grey: str = '#8A8A8A'
+    even: str = '#E4EDF5'
+    odd: str = '#F3EEDF'
+    edge: str = '#A9B7C4'
+    node: str = '#FFFFFE'
+    loose: str = '#FBD5D5'
+    loose_edge: str = '#B2182B'
+
+    @property
+    def lidars(self) -> tuple[str, ...]:
+        """Colours of the LiDARs in the order of their names."""
+        return (self.blue, self.vermillion, self.purple, self.sky)
+
+
+LIGHT = Theme()
+DARK = Theme(
+    ground='#14181D',
+    ink='#E8EAED',
+    muted='#A0A8B1',
+    frame='#3D454E',
+    grid='#272D34',
+    truth='#5C656F',
+    blue='#4FA8E0',
+    vermillion='#F58549',
+    purple='#DD8FBF',
+    sky='#8FD3F7',
+    green='#2CC49A',
+    orange='#F2B53A',
+    grey='#959DA6',
+    even='#1E2D3C',
+    odd='#312C1F',
+    edge='#50606F',
+    node='#14181E',
+    loose='#5A1F24',
+    loose_edge='#FF7B72',
+)
+THEMES = {'light': LIGHT, 'dark': DARK}
+_ROLES = [field.name for field in fields(Theme)]
+# Colours that stand for roles until a page replaces them by its own; nothing else has them.
+_PAGE = {name: f'#01{index:02x}fe' for index, name in enumerate(_ROLES)}
+PAGE = Theme(**_PAGE)
+"""Draws in the colours of the page that the picture is put into; see ``svg_for_page``."""
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """How a picture is drawn: colours, size in pixels, size of its text, and with a heading.
+
+    Without one it is part of a page, which has the heading and the legend beside it.
+    """
+
+    theme: Theme = LIGHT
+    width: int = WIDTH_PX
+    height: int = HEIGHT_PX
+    text: float = 12.0
+    heading: bool = True
+
+
+WHOLE = Look()
+"""A picture for itself."""
+
+
+def new_figure(look: Look) -> 'Figure':
+    """An empty figure; raises OutputError where matplotlib is missing."""
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise OutputError(
+            "pictures need matplotlib; install it with: pip install 'incremental_mapper[report]'"
+        ) from error
+    size = (look.width / DPI, look.height / DPI)
+    figure = Figure(figsize=size, dpi=DPI, facecolor=look.theme.ground)
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def box(
+    look: Look, left: int, bottom: int, right: int, top: int
+) -> tuple[float, float, float, float]:
+    """The rectangle of an axes, given by its margins in pixels."""
+    return (
+        left / look.width,
+        bottom / look.height,
+        1.0 - (left + right) / look.width,
+        1.0 - (bottom + top) / look.height,
+    )
+
+
+def axes_pixels(axes: 'Axes') -> tuple[float, float]:
+    """Width and height of an axes in pixels."""
+    figure = axes.get_figure(root=True)
+    assert figure is not None
+    place, size = axes.get_position(), figure.get_size_inches()
+    return float(place.width * size[0] * DPI), float(place.height * size[1] * DPI)
+
+
+def save(figure: 'Figure', path: Path) -> None:
+    """Write the figure as PNG, SVG or PDF, as the suffix says.
+
+    Raises OutputError where the suffix is another, or the file cannot be written.
+    """
+    import matplotlib
+
+    check_suffix(path)
+    suffix = path.suffix.lower()
+    # The same picture makes the same file.
+    metadata = {'.svg': {'Date': None}, '.pdf': {'CreationDate': None}}.get(suffix)
+    try:
+        if suffix == '.svg':
+            with matplotlib.rc_context({'svg.hashsalt': 'incremental_mapper'}):
+                figure.savefig(path, format='svg', dpi=DPI, metadata=metadata)
+        else:
+            figure.savefig(path, format=suffix[1:], dpi=DPI, metadata=metadata)
+    except OSError as error:
+        raise OutputError(f'{path}: cannot be written ({error.strerror})') from error
+
+
+def check_suffix(path: Path) -> None:
+    """Raise OutputError where a picture cannot have this name."""
+    if path.suffix.lower() not in FORMATS:
+        raise OutputError(
+            f'{path}: has the suffix {path.suffix!r}; pictures are {", ".join(FORMATS)}'
+        )
+
+
+def svg_for_page(figure: 'Figure', name: str, label: str) -> str:
+    """The figure, drawn with the theme ``PAGE``, as an SVG element to be put into a page.
+
+    Its colours are the page's CSS variables ``--ground``, ``--ink`` and so on; its text stays
+    text in the page's font. ``name`` must be the page's only one, since names inside an SVG are
+    seen in all of the page; ``label`` is what a reader is told who does not see the picture.
+    """
+    import matplotlib
+
+    buffer = io.StringIO()
+    with matplotlib.rc_context({'svg.fonttype': 'none', 'svg.hashsalt': name}):
+        figure.savefig(buffer, format='svg', dpi=DPI, transparent=True, metadata={'Date': None})
+    text = buffer.getvalue()
+    text = text[text.index('<svg') :]
+    text = re.sub(r'<metadata>.*?</metadata>', '', text, flags=re.DOTALL)
+    text = re.sub(r'<!--.*?-->\s*', '', text, flags=re.DOTALL)
+    for role, colour in _PAGE.items():
+        text = text.replace(colour, f'var(--{css_name(role)})')
+    text = re.sub(r"font: ([^;\"]*?)'DejaVu Sans'[^;\"]*", r'font: \1var(--font)', text)
+    for attribute in (r'(\bid=")', r'(xlink:href="#)', r'(url\(#)'):
+        text = re.sub(attribute, rf'\g<1>{name}-', text)
+    head = re.sub(r' (width|height|version)="[^"]*"', '', text[: text.index('>')])
+    described = f'{head} role="img" aria-label="{_attribute(label)}"'
+    return re.sub(r'\n\s*', '\n', described + text[text.index('>') :]).strip()
+
+
+def css_name(role: str) -> str:
+    """Name of a role's CSS variable, without the dashes in front."""
+    return role.replace('_', '-')
+
+
+def css_variables(theme: Theme) -> str:
+    """The declarations that give a page the colours of a theme."""
+    return ' '.join(f'--{css_name(role)}: {getattr(theme, role)};' for role in _ROLES)
+
+
+def title(figure: 'Figure', heading: str, facts: str, look: Look) -> None:
+    """A heading in the upper left corner, and what the picture shows behind it in grey."""
+    if not look.heading:
+        return
+    height = 1.0 - 49.5 / look.height
+    left = figure.text(0.06, height, heading, fontsize=17, fontweight='bold', color=look.theme.ink)
+    end = left.get_window_extent().x1 / look.width
+    figure.text(end + 0.012, height, facts, fontsize=13, color=look.theme.muted)
+
+
+def plain(axes: 'Axes', look: Look) -> None:
+    """Light frame, and labels in the colours of the theme."""
+    theme = look.theme
+    axes.set_axisbelow(True)
+    axes.set_facecolor('none')
+    axes.tick_params(colors=theme.muted, labelsize=look.text - 1, length=3)
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.label.set_color(theme.ink)
+        axis.label.set_fontsize(look.text)
+    for spine in axes.spines.values():
+        spine.set_color(theme.frame)
+
+
+def add_legend(axes: 'Axes', look: Look, place: Literal['best', 'upper right']) -> None:
+    """A legend over the data."""
+    axes.legend(
+        loc=place, frameon=True, framealpha=0.9, edgecolor='none', facecolor=look.theme.ground,
+        labelcolor=look.theme.ink, fontsize=look.text - 1,
+    )  # fmt: skip
+
+
+def _attribute(text: str) -> str:
+    return text.replace('&', '&amp;').replace('"', '&quot;').replace('<', '&lt;')
