@@ -5,7 +5,15 @@ import sys
 from collections.abc import Sequence
 
 from incremental_mapper import __version__
-from incremental_mapper.cli import convert, map_drive, play, simulate
+from incremental_mapper.cli import (
+    convert,
+    evaluate,
+    inspect_window,
+    map_drive,
+    play,
+    plot,
+    simulate,
+)
 from incremental_mapper.errors import MapperError
 
 EXIT_FAILURE = 1
@@ -23,7 +31,7 @@ def make_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument('--version', action='version', version=f'%(prog)s {__version__}')
     subparsers = parser.add_subparsers(required=True, metavar='COMMAND')
-    for command in (simulate, convert, map_drive, play):
+    for command in (simulate, convert, map_drive, evaluate, play, plot, inspect_window):
         command.add_parser(subparsers)
     return parser
 
