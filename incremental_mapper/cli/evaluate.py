@@ -2,6 +2,7 @@
 
 import argparse
 import shlex
+import shutil
 import sys
 from pathlib import Path
 from typing import Any
@@ -12,10 +13,15 @@ from incremental_mapper.config import Tree, make_config, merge, read_yaml
 from incremental_mapper.criteria.criterion import strategy_names
 from incremental_mapper.errors import ConfigError
 from incremental_mapper.evaluation.evaluate import Plan, evaluate, prepare_out_dir, unfinished
+from incremental_mapper.evaluation.evaluation_files import Reference, write_tables
 from incremental_mapper.evaluation.jobs import Outcome, Status, plan_jobs
+from incremental_mapper.evaluation.table_csv import read_csv
+from incremental_mapper.evaluation.table_formats import plain_table
 from incremental_mapper.evaluation.workers import ClusterWorkers, LocalWorkers, Workers
 
 STRATEGIES = 'base,mom,min_time_shift,min_solver_error'
+DEFAULT_WIDTH = 100
+"""Characters in a line where the output is no terminal."""
 
 
 def add_parser(subparsers: Any) -> None:
@@ -75,6 +81,12 @@ def add_parser(subparsers: Any) -> None:
         'folders under the same paths',
     )
     parser.add_argument(
+        '--reference',
+        type=Path,
+        metavar='CSV',
+        help='a table.csv of an earlier call, or of published numbers, to stand beside in table.md',
+    )
+    parser.add_argument(
         '--verify',
         action='store_true',
         help='score every candidate by direct search too and report the agreement (slow)',
@@ -89,7 +101,7 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the command; 1 where a job failed. Raises MapperError where nothing can be run."""
-    plan = _plan(args)
+    plan, reference = _plan(args), _reference(args.reference)
     todo = list(plan.jobs) if args.force else unfinished(plan.jobs)
     with _workers(args) as workers:
         prepare_out_dir(plan.out_dir, args.inputs, args.force)
@@ -109,6 +121,9 @@ def run(args: argparse.Namespace) -> int:
                 bar.update()
 
             evaluation = evaluate(plan, todo, workers, tell)
+    table = write_tables(evaluation, plan.by_motion, reference)
+    print(plain_table(table, shutil.get_terminal_size((DEFAULT_WIDTH, 0)).columns))
+    _write_report(plan.out_dir)
     failed = sum(outcome.status is Status.FAILED for outcome in evaluation.outcomes)
     return 1 if failed else 0
 
@@ -139,6 +154,10 @@ def _plan(args: argparse.Namespace) -> Plan:
     )
 
 
+def _reference(path: Path | None) -> Reference | None:
+    return None if path is None else Reference(path.stem, tuple(read_csv(path)))
+
+
 def _workers(args: argparse.Namespace) -> Workers:
     if args.scheduler is None:
         return LocalWorkers(args.jobs)
@@ -146,3 +165,16 @@ def _workers(args: argparse.Namespace) -> Workers:
     if cluster.count == 0:
         print('note: the cluster has no workers yet; waiting for some', file=sys.stderr)
     return cluster
+
+
+def _write_report(out_dir: Path) -> None:
+    try:
+        from incremental_mapper.evaluation.report.page import write_report
+    except ModuleNotFoundError as error:
+        print(
+            f'note: no report.html, {error.name} is missing: '
+            'pip install "incremental_mapper[report]"',
+            file=sys.stderr,
+        )
+        return
+    print(f'report: {write_report(out_dir)}')

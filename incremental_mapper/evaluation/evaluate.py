@@ -1,6 +1,6 @@
 """An evaluation: every strategy on every input, and what the runs say beside each other."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing
@@ -23,8 +23,8 @@ from incremental_mapper.evaluation.record import (
     Pieces,
     write_record,
 )
-from incremental_mapper.evaluation.segments import segment_by_motion
-from incremental_mapper.evaluation.table import BASE
+from incremental_mapper.evaluation.segments import Motion, segment_by_motion
+from incremental_mapper.evaluation.table import BASE, motion_title
 from incremental_mapper.evaluation.workers import Workers
 from incremental_mapper.trajectory import Trajectory
 
@@ -122,7 +122,10 @@ def evaluate(
             )
         )
     evaluation = replace(
-        evaluation, found=tuple(found), pieces=pieces, remarks=(*remarks, *_failures(evaluation))
+        evaluation,
+        found=tuple(found),
+        pieces=pieces,
+        remarks=(*_remarks(evaluation, pieces), *remarks),
     )
     write_record(evaluation)
     return evaluation
@@ -193,6 +196,57 @@ def _truth(out_dir: Path, sequence: str) -> Trajectory | None:
     return read_truth(path) if path.is_file() else None
 
 
+def _remarks(evaluation: Evaluation, pieces: Mapping[str, Pieces]) -> list[str]:
+    """What a reader of the table has to know besides its numbers."""
+    lines = []
+    for sequence in dict.fromkeys(item.job.sequence for item in _finished(evaluation)):
+        if not (evaluation.out_dir / sequence / TRUTH_FILE).is_file():
+            lines.append(f'{sequence}: no truth, so no errors against it')
+    if pieces:
+        lines.append('components, distance to base map and plane variance: of whole drives only')
+    for sequence, cut in pieces.items():
+        seconds = {
+            motion: sum(piece.seconds for piece in cut.segments if piece.motion is motion)
+            for motion in Motion
+        }
+        found = [f'{motion_title(m).lower()} {s:.1f} s' for m, s in seconds.items() if s > 0.0]
+        lines.append(
+            f'{sequence}: cut by the {"truth" if cut.source == "truth" else f"{cut.source} run"} '
+            f'into {", ".join(found) or "nothing, it is too short"}'
+        )
+    return [*lines, *_verification(evaluation), *_failures(evaluation)]
+
+
+def _verification(evaluation: Evaluation) -> list[str]:
+    """How well the fast score agrees with the direct one, if --verify asked."""
+    checks = [
+        stats['verification']
+        for item in _finished(evaluation)
+        if 'verification' in (stats := FinishedRun(item.job.folder).stats)
+    ]
+    if not checks:
+        return []
+    windows, same, near, scored = (
+        sum(check[name] for check in checks)
+        for name in (
+            'windows_with_a_choice',
+            'same_winner',
+            'same_or_within_half_percent',
+            'candidates_scored',
+        )
+    )
+    fast, direct = (
+        sum(check[name] * check['candidates_scored'] for check in checks) / max(scored, 1)
+        for name in ('fast_ms_per_candidate', 'direct_ms_per_candidate')
+    )
+    worst = max(check['worst_regret_percent'] for check in checks)
+    return [
+        f'Fast against direct MOM: the same winner, or one within 0.5 %, in {near} of {windows} '
+        f'windows (the same in {same}, worst {worst:.2f} %); {fast:.2f} ms against {direct:.2f} ms '
+        'a candidate'
+    ]
+
+
 def _failures(evaluation: Evaluation) -> list[str]:
     """A line for every failed job; strategies that fail for the same reason share one."""
     reasons: dict[tuple[str, str], list[str]] = {}
@@ -201,6 +255,6 @@ def _failures(evaluation: Evaluation) -> list[str]:
             key = (outcome.job.sequence, outcome.error)
             reasons.setdefault(key, []).append(outcome.job.strategy)
     return [
-        f'Failed: {sequence}, {", ".join(strategies)}: {reason}'
+        f'failed: {sequence}, {", ".join(strategies)}: {reason}'
         for (sequence, reason), strategies in reasons.items()
     ]

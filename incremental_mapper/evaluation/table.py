@@ -1,11 +1,12 @@
 """The paper's table: which rows it has, in which order, and what is marked in it.
 
-``text.py``-like writers (terminal, Markdown, LaTeX, CSV) are in ``table_formats.py``.
+``table_formats`` prints it, ``table_csv`` writes its numbers for programs.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import TypeAlias
 
 from incremental_mapper.evaluation.metrics import Metrics
 from incremental_mapper.evaluation.segments import Motion, motion_of_name
@@ -68,8 +69,8 @@ FURTHER_ROWS = (
     Row('compression_factors_percent', 'Fewer factors, %', 2, higher=True, fixed_for_base=True),
     Row('components', 'Components', 0),
     Row('ate_rmse_m', 'ATE, m', 4),
-    Row('rpe_per_second_translation_rmse_m', 'RPE a second, m', 4),
-    Row('rpe_per_second_rotation_rmse_deg', 'RPE a second, deg', 3),
+    Row('rpe_per_second_translation_rmse_m', 'RPE per second, m', 4),
+    Row('rpe_per_second_rotation_rmse_deg', 'RPE per second, deg', 3),
     Row('map_distance_m', 'Distance to base map, cm', 2, scale=100.0, fixed_for_base=True),
     Row('plane_variance_m2', 'Plane variance, cm²', 2, scale=1e4),
     Row('window_median_s', 'Time per window, ms', 0, scale=1e3),
@@ -91,6 +92,9 @@ class Entry:
     strategy: str
     metrics: Metrics
     error: str | None = None
+
+
+Groups: TypeAlias = dict[Motion | None, dict[str, dict[str, Entry]]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,23 +134,29 @@ def make_table(
     entries: Sequence[Entry], strategies: Sequence[str], remarks: Iterable[str] = ()
 ) -> Table:
     """Arrange entries as the paper does: blocks by motion, columns by sequence and strategy."""
-    by_motion: dict[Motion | None, dict[str, dict[str, Entry]]] = {}
-    for entry in entries:
-        block = by_motion.setdefault(entry.motion, {})
-        block.setdefault(entry.sequence, {})[entry.strategy] = entry
-    order = [motion for motion in (*Motion, None) if motion in by_motion]
-    blocks = []
-    for motion in order:
-        columns = tuple(
-            _column(_column_title(sequence, motion), [found.get(name) for name in strategies])
-            for sequence, found in by_motion[motion].items()
+    groups = _grouped(entries)
+    # Where each name tells its block's motion, the column need not repeat it.
+    short = all(motion_of_name(entry.sequence)[0] is entry.motion for entry in entries)
+    blocks = [
+        Block(
+            motion_title(motion),
+            tuple(
+                _column(
+                    motion_of_name(sequence)[1] if short else sequence,
+                    [found.get(name) for name in strategies],
+                )
+                for sequence, found in sequences.items()
+            ),
         )
-        blocks.append(Block(motion_title(motion), columns))
-    return Table(
-        strategies=tuple(strategies),
-        blocks=(*blocks, *_mean_block(by_motion, order, strategies)),
-        remarks=(*remarks, *_mean_remarks(entries, strategies)),
+        for motion, sequences in groups.items()
+    ]
+    means = tuple(
+        _mean_column(motion_title(motion) or f'all {len(found)}', found, strategies)
+        for motion, found in _mean_groups(groups)
     )
+    if means:
+        blocks.append(Block('Means', means))
+    return Table(tuple(strategies), tuple(blocks), (*remarks, *_mean_remarks(groups, strategies)))
 
 
 def motion_title(motion: Motion | None) -> str:
@@ -171,11 +181,6 @@ def mean_metrics(found: Sequence[Mapping[str, Entry]], strategies: Sequence[str]
             column = [float(values[index] or 0.0) for values in complete]
             metrics[row.name] = sum(column) / len(column) if column else None
     return means
-
-
-def _column_title(sequence: str, motion: Motion | None) -> str:
-    of_name, rest = motion_of_name(sequence)
-    return rest if motion is not None and of_name is motion else sequence
 
 
 def _column(title: str, entries: Sequence[Entry | None], mean: bool = False) -> Column:
@@ -219,20 +224,32 @@ def rank(row: Row, texts: Sequence[str | None]) -> list[Mark]:
     return [Mark.NONE if value is None else marks.get(value, Mark.NONE) for value in values]
 
 
-def _mean_block(
-    by_motion: Mapping[Motion | None, Mapping[str, Mapping[str, Entry]]],
-    order: Sequence[Motion | None],
-    strategies: Sequence[str],
-) -> list[Block]:
-    columns = []
-    for motion in order:
-        found = list(by_motion[motion].values())
-        if motion is not None and len(order) > 1 and len(found) > 1:
-            columns.append(_mean_column(motion_title(motion), found, strategies))
-    everything = [entries for motion in order for entries in by_motion[motion].values()]
-    if len(everything) > 1:
-        columns.append(_mean_column(f'all {len(everything)}', everything, strategies))
-    return [Block('Means', tuple(columns))] if columns else []
+def mean_entries(entries: Sequence[Entry], strategies: Sequence[str]) -> list[Entry]:
+    """Means of each motion and of everything, as entries of the sequence ``mean``."""
+    return [
+        Entry(MEAN, motion, strategy, metrics)
+        for motion, found in _mean_groups(_grouped(entries))
+        for strategy, metrics in zip(strategies, mean_metrics(found, strategies), strict=True)
+    ]
+
+
+def _grouped(entries: Sequence[Entry]) -> Groups:
+    """Entries by motion in the paper's order, sequence and strategy."""
+    groups: Groups = {motion: {} for motion in (*Motion, None)}
+    for entry in entries:
+        groups[entry.motion].setdefault(entry.sequence, {})[entry.strategy] = entry
+    return {motion: found for motion, found in groups.items() if found}
+
+
+def _mean_groups(groups: Groups) -> list[tuple[Motion | None, list[dict[str, Entry]]]]:
+    """What means are taken over: each motion with several sequences, then everything."""
+    means: list[tuple[Motion | None, list[dict[str, Entry]]]] = [
+        (motion, list(found.values()))
+        for motion, found in groups.items()
+        if motion is not None and len(groups) > 1 and len(found) > 1
+    ]
+    everything = [item for found in groups.values() for item in found.values()]
+    return [*means, (None, everything)] if len(everything) > 1 else means
 
 
 def _mean_column(
@@ -245,19 +262,14 @@ def _mean_column(
     return _column(title, entries, mean=True)
 
 
-def _mean_remarks(entries: Sequence[Entry], strategies: Sequence[str]) -> list[str]:
+def _mean_remarks(groups: Groups, strategies: Sequence[str]) -> list[str]:
     """Which rows have a mean over fewer sequences than there are."""
-    found: dict[tuple[str, Motion | None], dict[str, Entry]] = {}
-    for entry in entries:
-        found.setdefault((entry.sequence, entry.motion), {})[entry.strategy] = entry
-    if len(found) < 2:
-        return []
+    found = [item for sequences in groups.values() for item in sequences.values()]
     short: dict[int, list[str]] = {}
     for row in ROWS:
-        complete = sum(
-            None not in _values(row.name, entries, strategies) for entries in found.values()
-        )
-        if complete < len(found):
+        complete = sum(None not in _values(row.name, item, strategies) for item in found)
+        known = any(entry.metrics.get(row.name) is not None for e in found for entry in e.values())
+        if known and complete < len(found) > 1:
             short.setdefault(complete, []).append(row.title)
     return [
         f'Means over {count} of {len(found)}, where every strategy has the number: '

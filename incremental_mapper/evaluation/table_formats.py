@@ -1,0 +1,188 @@
+"""The table as plain text, Markdown and LaTeX."""
+
+from collections.abc import Iterator, Sequence
+
+from incremental_mapper.evaluation.table import (
+    PAPER_ROWS,
+    ROWS,
+    Cell,
+    Column,
+    Mark,
+    Table,
+)
+
+SIDE_BY_SIDE = 3
+"""Sequences beside each other in Markdown and LaTeX, as in the paper."""
+HEAD_WIDTH = 10
+"""Longest line of a strategy's name in the head of the plain table, where it has spaces."""
+PLAIN_MARKS = {Mark.BEST: '*', Mark.SECOND: '+', Mark.NONE: ' '}
+LATEX_ESCAPES = str.maketrans(
+    {
+        '\\': r'\textbackslash{}',
+        '&': r'\&',
+        '%': r'\%',
+        '$': r'\$',
+        '#': r'\#',
+        '_': r'\_',
+        '{': r'\{',
+        '}': r'\}',
+        '~': r'\textasciitilde{}',
+        '^': r'\textasciicircum{}',
+        '–': '--',
+        '²': r'$^2$',
+    }
+)
+
+
+def plain_table(table: Table, width: int) -> str:
+    """The table for a terminal ``width`` characters wide; as many sequences a line as fit."""
+    heads = [_wrapped(name) for name in table.strategies]
+    columns = [column for block in table.blocks for column in block.columns]
+    cells = [cell for column in columns for row in column.cells for cell in row]
+    longest = max((len(cell.text) for cell in cells), default=0)
+    cell_width = 2 + max([longest, *(len(line) for head in heads for line in head)])
+    label_width = max(len(row.title) for row in ROWS)
+    column_width = len(heads) * cell_width
+    fitting = max((width - label_width) // (column_width + 2), 1)
+    lines = []
+    for block in table.blocks:
+        for group in _groups(block.columns, fitting):
+            titles = (f'  {column.title:^{column_width}}' for column in group)
+            lines.append(f'{block.title:<{label_width}}' + ''.join(titles))
+            for line in range(max(map(len, heads))):
+                # The last line of every head stands on the numbers; short heads have fewer.
+                words = [_line(head, line, max(map(len, heads))) for head in heads]
+                row = '  ' + ''.join(f'{word:>{cell_width - 1}} ' for word in words)
+                lines.append(' ' * label_width + row * len(group))
+            for index, row_of_table in enumerate(ROWS):
+                if index in (0, len(PAPER_ROWS)):
+                    lines.append('-' * (label_width + len(group) * (column_width + 2)))
+                parts = [
+                    '  ' + ''.join(_plain_cell(cell, cell_width) for cell in column.cells[index])
+                    for column in group
+                ]
+                lines.append(f'{row_of_table.title:<{label_width}}' + ''.join(parts))
+            lines.append('')
+    lines += ['* best, + second best of a row and sequence', *table.remarks]
+    return '\n'.join(line.rstrip() for line in lines)
+
+
+def markdown_table(table: Table) -> str:
+    """The table in Markdown: best bold, second best in italics."""
+    lines = []
+    for block in table.blocks:
+        for group in _groups(block.columns, SIDE_BY_SIDE):
+            heads = [
+                (f'**{_markdown(column.title)}**<br>' if index == 0 else '') + spaced(name)
+                for column in group
+                for index, name in enumerate(table.strategies)
+            ]
+            if block.title:
+                lines += [f'### {block.title}', '']
+            lines.append('| ' + ' | '.join(['', *heads]) + ' |')
+            lines.append('|---|' + '--:|' * len(heads))
+            for index, row in enumerate(ROWS):
+                cells = [_markdown_cell(cell) for column in group for cell in column.cells[index]]
+                lines.append('| ' + ' | '.join([row.title, *cells]) + ' |')
+            lines.append('')
+    lines += ['Best of a row and sequence in bold, second best in italics.']
+    lines += ['', *(f'- {_markdown(remark)}' for remark in table.remarks)]
+    return '\n'.join(lines).rstrip()
+
+
+def latex_table(table: Table, caption: str = 'Strategies compared.') -> str:
+    """The table as a LaTeX float; best bold, second best underlined."""
+    lines = [
+        r'% needs \usepackage{adjustbox,booktabs}',
+        r'\begin{table*}[t]',
+        r'\centering',
+        rf'\caption{{{caption.translate(LATEX_ESCAPES)} Best of a row and sequence in bold, '
+        r'second best underlined.}',
+        *_latex_tabulars(table),
+        *(f'% {remark}' for remark in table.remarks),
+        r'\end{table*}',
+    ]
+    return '\n'.join(lines)
+
+
+def spaced(name: str) -> str:
+    """The name of a strategy as people write it."""
+    return name.replace('_', ' ')
+
+
+def _latex_tabulars(table: Table) -> Iterator[str]:
+    count = len(table.strategies)
+    for block in table.blocks:
+        for group in _groups(block.columns, SIDE_BY_SIDE):
+            yield r'\begin{adjustbox}{max width=\textwidth}'
+            yield rf'\begin{{tabular}}{{l{"r" * count * len(group)}}}'
+            yield r'\toprule'
+            yield _latex_line(
+                [
+                    rf'\textbf{{{block.title}}}' if block.title else '',
+                    *(
+                        rf'\multicolumn{{{count}}}{{c}}{{{column.title.translate(LATEX_ESCAPES)}}}'
+                        for column in group
+                    ),
+                ]
+            )
+            yield ' '.join(
+                rf'\cmidrule(lr){{{2 + index * count}-{1 + (index + 1) * count}}}'
+                for index in range(len(group))
+            )
+            names = [spaced(name).translate(LATEX_ESCAPES) for name in table.strategies]
+            yield _latex_line(['', *names * len(group)])
+            for index, row in enumerate(ROWS):
+                if index in (0, len(PAPER_ROWS)):
+                    yield r'\midrule'
+                cells = [_latex_cell(cell) for column in group for cell in column.cells[index]]
+                yield _latex_line([row.title.translate(LATEX_ESCAPES), *cells])
+            yield r'\bottomrule'
+            yield r'\end{tabular}'
+            yield r'\end{adjustbox}'
+            yield r'\par\medskip'
+
+
+def _latex_line(cells: Sequence[str]) -> str:
+    return ' & '.join(cells) + r' \\'
+
+
+def _latex_cell(cell: Cell) -> str:
+    text = cell.text.translate(LATEX_ESCAPES)
+    commands = {Mark.BEST: r'\textbf', Mark.SECOND: r'\underline'}
+    return rf'{commands[cell.mark]}{{{text}}}' if cell.mark in commands else text
+
+
+def _markdown_cell(cell: Cell) -> str:
+    signs = {Mark.BEST: '**', Mark.SECOND: '_', Mark.NONE: ''}
+    return f'{signs[cell.mark]}{cell.text}{signs[cell.mark]}'
+
+
+def _markdown(text: str) -> str:
+    """Text in which nothing is taken for markup."""
+    return ''.join(f'\\{sign}' if sign in '\\`*_|<>[]' else sign for sign in text)
+
+
+def _plain_cell(cell: Cell, width: int) -> str:
+    return f'{cell.text:>{width - 1}}{PLAIN_MARKS[cell.mark]}'
+
+
+def _wrapped(name: str) -> list[str]:
+    """The words of a strategy's name in lines of ``HEAD_WIDTH`` characters, if they are short."""
+    lines: list[str] = []
+    for word in name.split('_'):
+        if lines and len(lines[-1]) + 1 + len(word) <= HEAD_WIDTH:
+            lines[-1] += f' {word}'
+        else:
+            lines.append(word)
+    return lines
+
+
+def _line(head: Sequence[str], line: int, lines: int) -> str:
+    index = line - (lines - len(head))
+    return head[index] if index >= 0 else ''
+
+
+def _groups(columns: Sequence[Column], size: int) -> Iterator[Sequence[Column]]:
+    for start in range(0, len(columns), size):
+        yield columns[start : start + size]
