@@ -48,7 +48,6 @@ def add_parser(subparsers: Any) -> None:
     """Add the command to the ``argparse`` sub-parsers of the program."""
     parser = subparsers.add_parser(
         'convert',
-        help='convert a KAIST folder to a ROS 2 bag',
         description='Convert a KAIST Complex Urban folder to a ROS 2 bag (MCAP) with PointCloud2, '
         f'Imu, NavSatFix and, where there is global_pose.csv, {TRUTH_TOPIC}. '
         f'Topics and extrinsics go into {SETTINGS_FILE} in the bag, in the layout of a ROS '

@@ -9,6 +9,7 @@ from typing import Any
 
 from tqdm import tqdm
 
+from incremental_mapper.cli import exit_status
 from incremental_mapper.config import Tree, make_config, merge, read_yaml
 from incremental_mapper.criteria.criterion import strategy_names
 from incremental_mapper.errors import ConfigError
@@ -28,7 +29,6 @@ def add_parser(subparsers: Any) -> None:
     """Add the command to the ``argparse`` sub-parsers of the program."""
     parser = subparsers.add_parser(
         'evaluate',
-        help='map drives with every strategy and compare',
         description='Map every input with every strategy and compare: the table of the paper on '
         'the terminal and as table.csv, table.md and table.tex, the page report.html, and the '
         'output of each run in DIR/<input>/<strategy>/. What is done already is not run again '
@@ -125,7 +125,7 @@ def run(args: argparse.Namespace) -> int:
     print(plain_table(table, shutil.get_terminal_size((DEFAULT_WIDTH, 0)).columns))
     _write_report(plan.out_dir)
     failed = sum(outcome.status is Status.FAILED for outcome in evaluation.outcomes)
-    return 1 if failed else 0
+    return exit_status.FAILURE if failed else 0
 
 
 def _plan(args: argparse.Namespace) -> Plan:

@@ -23,7 +23,6 @@ def add_parser(subparsers: Any) -> None:
     """Add the command to argparse's ``subparsers``."""
     parser = subparsers.add_parser(
         'inspect',
-        help='show what a window of a finished run chose from, and why',
         description='Show every candidate of one window, best first, and why the winner won. '
         'OUT_DIR is what "map" wrote, with candidates.parquet in it.',
     )

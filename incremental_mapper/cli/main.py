@@ -3,25 +3,29 @@
 import argparse
 import sys
 from collections.abc import Sequence
+from importlib import import_module
 
 from incremental_mapper import __version__
-from incremental_mapper.cli import (
-    convert,
-    evaluate,
-    inspect_window,
-    map_drive,
-    play,
-    plot,
-    simulate,
-)
+from incremental_mapper.cli import exit_status
 from incremental_mapper.errors import MapperError
 
-EXIT_FAILURE = 1
-EXIT_INTERRUPTED = 130
+COMMANDS = {
+    'simulate': ('simulate', 'write a simulated drive with ground truth, as a KAIST Urban folder'),
+    'convert': ('convert', 'convert a KAIST folder to a ROS 2 bag'),
+    'map': ('map_drive', 'map a KAIST folder or a bag'),
+    'evaluate': ('evaluate', 'map drives with every strategy and compare'),
+    'play': ('play', 'play a bag into ROS topics'),
+    'plot': ('plot', 'draw one picture of a finished run'),
+    'inspect': ('inspect_window', 'show what a window of a finished run chose from, and why'),
+}
+"""Modules of the commands, and what the program's help says of them."""
 
 
-def make_parser() -> argparse.ArgumentParser:
-    """The parser of all sub-commands."""
+def make_parser(command: str | None = None) -> argparse.ArgumentParser:
+    """The parser of the program, with the options of ``command``, its first word.
+
+    Of the other commands it knows what they are for: importing what they need takes seconds.
+    """
     parser = argparse.ArgumentParser(
         prog='incremental_mapper',
         description='Maps of LiDAR, GNSS and IMU that arrive out of step: window by window, the '
@@ -31,22 +35,26 @@ def make_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument('--version', action='version', version=f'%(prog)s {__version__}')
     subparsers = parser.add_subparsers(required=True, metavar='COMMAND')
-    for command in (simulate, convert, map_drive, evaluate, play, plot, inspect_window):
-        command.add_parser(subparsers)
+    for name, (module, what) in COMMANDS.items():
+        if name == command:
+            import_module(f'incremental_mapper.cli.{module}').add_parser(subparsers)
+        else:
+            subparsers.add_parser(name, help=what)
     return parser
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
-    args = make_parser().parse_args(arguments)
+    words = sys.argv[1:] if arguments is None else list(arguments)
     try:
+        args = make_parser(words[0] if words else None).parse_args(words)
         status: int = args.func(args)
     except MapperError as error:
         print(f'incremental_mapper: {error}', file=sys.stderr)
-        return EXIT_FAILURE
+        return exit_status.FAILURE
     except KeyboardInterrupt:
         print('incremental_mapper: interrupted', file=sys.stderr)
-        return EXIT_INTERRUPTED
+        return exit_status.INTERRUPTED
     return status
 
 

@@ -7,23 +7,19 @@ from typing import Any
 
 from tqdm import tqdm
 
-from incremental_mapper.config import Tree, make_config, merge, read_yaml
+from incremental_mapper.cli import exit_status
+from incremental_mapper.config import Tree, merge, read_yaml
 from incremental_mapper.criteria.criterion import strategy_names
-from incremental_mapper.datasets.open import open_source, read_truth
-from incremental_mapper.evaluation import candidate_table
-from incremental_mapper.evaluation.candidate_table import candidate_recorder
-from incremental_mapper.evaluation.run import Run, Stop, map_source, settle_config
-from incremental_mapper.evaluation.summary import draw_pictures, summary
-from incremental_mapper.mapper.output import prepare_folder, write_result
-
-EXIT_INTERRUPTED = 130
+from incremental_mapper.evaluation.run import Stop
+from incremental_mapper.evaluation.run_folder import map_into, open_drive
+from incremental_mapper.evaluation.summary import summary
+from incremental_mapper.mapper.output import prepare_folder
 
 
 def add_parser(subparsers: Any) -> None:
     """Add the command to the ``argparse`` sub-parsers of the program."""
     parser = subparsers.add_parser(
         'map',
-        help='map a KAIST folder or a bag',
         description='Map a drive with LiDAR, and IMU and GNSS where there are any. Writes '
         'trajectory.tum, map.ply, graph.json, graph.g2o, windows.csv, candidates.parquet, '
         'stats.json and pictures. Ctrl-C stops early and writes what has been mapped so far.',
@@ -69,29 +65,15 @@ def run(args: argparse.Namespace) -> int:
     if args.verify:
         chosen['verify'] = True
     tree = merge(tree, {'selection': chosen} if chosen else {})
-    make_config(tree, str(args.config or 'settings'))  # names the file, before the input is read
-    source = open_source(args.input, tree)
-    config = settle_config(source, tree, str(args.config or 'settings'))
-    truth = source.truth() if args.truth is None else read_truth(args.truth)
+    drive = open_drive(args.input, tree, str(args.config or 'settings'), args.truth)
     prepare_folder(args.out_dir, args.force)
-    for note in source.info.notes:
+    info = drive.source.info
+    for note in info.notes:
         print(f'note: {note}', file=sys.stderr)
     stop = Stop()
-    with (
-        stop.listening(),
-        tqdm(total=source.info.count, unit='msg', desc='map', disable=None) as bar,
-        candidate_recorder(args.out_dir / candidate_table.FILE_NAME) as record,
-    ):
-        if record is None:
-            bar.write(f'note: {candidate_table.MISSING}', file=sys.stderr)
-        done = map_source(source, config, truth, bar.update, stop, record)
-    _write(args.out_dir, done, truth)
+    with stop.listening(), tqdm(total=info.count, unit='msg', desc='map', disable=None) as bar:
+        done, remarks = map_into(args.out_dir, drive, bar.update, stop)
+    for remark in remarks:
+        print(f'note: {remark}', file=sys.stderr)
     print(summary(done.stats))
-    return EXIT_INTERRUPTED if done.interrupted else 0
-
-
-def _write(out_dir: Path, done: Run, truth: Any) -> None:
-    write_result(out_dir, done.result, done.points, done.stats)
-    missing = draw_pictures(out_dir, done, truth)
-    if missing:
-        print(f'note: {missing}', file=sys.stderr)
+    return exit_status.INTERRUPTED if done.interrupted else 0

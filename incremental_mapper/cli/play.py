@@ -21,7 +21,6 @@ def add_parser(subparsers: Any) -> None:
     """Add the command to the ``argparse`` sub-parsers of the program."""
     parser = subparsers.add_parser(
         'play',
-        help='play a bag into ROS topics',
         description='Publish the messages of a rosbag2 (MCAP or sqlite3) or ROS 1 bag on the '
         'topics that they were recorded from, as long after each other as they were logged. '
         'Space pauses and goes on. Topics whose message type is not installed are left out.',

@@ -20,7 +20,6 @@ def add_parser(subparsers: Any) -> None:
     """Add the command to argparse's ``subparsers``."""
     parser = subparsers.add_parser(
         'plot',
-        help='draw one picture of a finished run',
         description='Draw one picture of what "map" wrote, as PNG, SVG or PDF.',
     )
     kinds = parser.add_subparsers(required=True, metavar='PICTURE')

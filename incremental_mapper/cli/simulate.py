@@ -21,7 +21,6 @@ def add_parser(subparsers: Any) -> None:
     """Add the command to argparse's ``subparsers``."""
     parser = subparsers.add_parser(
         'simulate',
-        help='write a simulated drive with ground truth, in the layout of KAIST Urban',
         description='Simulate a car with two tilted VLP-16, an IMU and a VRS-GNSS receiver and '
         'write its data and its true poses as a KAIST Urban folder.',
     )

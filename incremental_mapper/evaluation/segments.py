@@ -63,8 +63,7 @@ def motion_of_name(sequence: str) -> tuple[Motion | None, str]:
 def segment_by_motion(trajectory: Trajectory) -> tuple[Segment, ...]:
     """Cut a trajectory into pieces of one motion each, without gaps between them.
 
-    Empty where the trajectory is shorter than ``SHORTEST``. The first piece begins and the last
-    one ends ``EDGE`` outside the trajectory.
+    Empty where the trajectory is shorter than ``SHORTEST``.
     """
     if len(trajectory) < 2 or trajectory.stamps[-1] - trajectory.stamps[0] < SHORTEST * NANOSECONDS:
         return ()
@@ -79,12 +78,12 @@ def segment_by_motion(trajectory: Trajectory) -> tuple[Segment, ...]:
         for speed, label in zip(speeds.tolist(), labels.tolist(), strict=True)
     ]
     runs = [(motion, len(list(group))) for motion, group in groupby(found)]
-    edges = [first - round(EDGE * NANOSECONDS)]
+    edges = [first]
     runs = _without_short_ones(runs, round(SHORTEST / STEP))
     for total in np.cumsum([count for _, count in runs]).tolist():
         # A sample stands for the time around it, so a piece ends between two samples.
         edges.append(first + round((total - 0.5) * STEP * NANOSECONDS))
-    edges[-1] = int(trajectory.stamps[-1]) + round(EDGE * NANOSECONDS)
+    edges[-1] = int(trajectory.stamps[-1])
     return tuple(
         Segment(motion, start, end)
         for (motion, _), start, end in zip(runs, edges[:-1], edges[1:], strict=True)
@@ -92,12 +91,17 @@ def segment_by_motion(trajectory: Trajectory) -> tuple[Segment, ...]:
 
 
 def segment_indices(stamps: NDArray[np.int64], segments: tuple[Segment, ...]) -> NDArray[np.int64]:
-    """Which segment each stamp (M,) lies in, -1 for none; ``segments`` follow each other."""
+    """Which segment each stamp (M,) lies in, -1 for none; ``segments`` follow each other.
+
+    Stamps up to ``EDGE`` outside lie in the first and the last one.
+    """
     if not segments:
         return np.full(len(stamps), -1)
+    edge = round(EDGE * NANOSECONDS)
     starts = np.array([segment.start for segment in segments])
+    starts[0] -= edge
     indices = np.searchsorted(starts, stamps, side='right') - 1
-    indices[stamps >= segments[-1].end] = -1
+    indices[stamps > segments[-1].end + edge] = -1
     return indices
 
 
