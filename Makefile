@@ -11,7 +11,8 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 .PHONY: help install demo test lint types check format clean
 
 help:
-	@echo 'make demo    simulate a drive of DEMO_SECONDS ($(DEMO_SECONDS)) seconds, map it, draw it'
+	@echo 'make demo    simulate a drive of DEMO_SECONDS ($(DEMO_SECONDS)) seconds, map it, draw it, play it'
+	@echo '             into the ROS node and check that the node makes the same of it'
 	@echo 'make test    run the tests'
 	@echo 'make lint    ruff and the import contracts'
 	@echo 'make types   mypy'
@@ -37,6 +38,12 @@ demo: $(INSTALLED)
 		--duration $(DEMO_SECONDS) --seed 1 --force
 	$(MAPPER) convert $(DEMO_DIR)/drive $(DEMO_DIR)/bag --force
 	$(MAPPER) map $(DEMO_DIR)/bag $(DEMO_DIR)/map --config config/kaist.yaml --force
+	@echo
+	@echo 'The same bag, played into the ROS node:'
+	@rm -rf $(DEMO_DIR)/node $(DEMO_DIR)/node_*
+	@$(BIN)/python examples/play_into_node.py $(DEMO_DIR)/bag $(DEMO_DIR)/map $(DEMO_DIR)/node \
+		--config config/kaist.yaml
+	@echo
 	@echo 'Pictures:'
 	@ls $(DEMO_DIR)/map/*.png
 
