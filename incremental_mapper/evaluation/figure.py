@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 WIDTH_PX = 1600
 HEIGHT_PX = 900
 DPI = 100
+PAGE_DPI = 160
+"""Of the points in a page's pictures; screens with small pixels show more than 100."""
 FORMATS = ('.png', '.svg', '.pdf')
 
 
@@ -179,13 +181,15 @@ def svg_for_page(figure: 'Figure', name: str, label: str) -> str:
 
     buffer = io.StringIO()
     with matplotlib.rc_context({'svg.fonttype': 'none', 'svg.hashsalt': name}):
-        figure.savefig(buffer, format='svg', dpi=DPI, transparent=True, metadata={'Date': None})
+        figure.savefig(
+            buffer, format='svg', dpi=PAGE_DPI, transparent=True, metadata={'Date': None}
+        )
     text = buffer.getvalue()
     text = text[text.index('<svg') :]
     text = re.sub(r'<metadata>.*?</metadata>', '', text, flags=re.DOTALL)
     text = re.sub(r'<!--.*?-->\s*', '', text, flags=re.DOTALL)
-    for role, colour in _PAGE.items():
-        text = text.replace(colour, f'var(--{css_name(role)})')
+    for colour in _PAGE.values():
+        text = text.replace(colour, css_colour(colour))
     text = re.sub(r"font: ([^;\"]*?)'DejaVu Sans'[^;\"]*", r'font: \1var(--font)', text)
     for attribute in (r'(\bid=")', r'(xlink:href="#)', r'(url\(#)'):
         text = re.sub(attribute, rf'\g<1>{name}-', text)
@@ -194,14 +198,15 @@ def svg_for_page(figure: 'Figure', name: str, label: str) -> str:
     return re.sub(r'\n\s*', '\n', described + text[text.index('>') :]).strip()
 
 
-def css_name(role: str) -> str:
-    """Name of a role's CSS variable, without the dashes in front."""
-    return role.replace('_', '-')
+def css_colour(colour: str) -> str:
+    """A colour of ``PAGE`` in CSS: the variable that holds it."""
+    role = next(role for role, held in _PAGE.items() if held == colour)
+    return f'var(--{_css_name(role)})'
 
 
 def css_variables(theme: Theme) -> str:
     """The declarations that give a page the colours of a theme."""
-    return ' '.join(f'--{css_name(role)}: {getattr(theme, role)};' for role in _ROLES)
+    return ' '.join(f'--{_css_name(role)}: {getattr(theme, role)};' for role in _ROLES)
 
 
 def title(figure: 'Figure', heading: str, facts: str, look: Look) -> None:
@@ -233,6 +238,10 @@ def add_legend(axes: 'Axes', look: Look, place: Literal['best', 'upper right']) 
         loc=place, frameon=True, framealpha=0.9, edgecolor='none', facecolor=look.theme.ground,
         labelcolor=look.theme.ink, fontsize=look.text - 1,
     )  # fmt: skip
+
+
+def _css_name(role: str) -> str:
+    return role.replace('_', '-')
 
 
 def _attribute(text: str) -> str:

@@ -96,7 +96,7 @@ def draw_graph(path: Path, graph: Record, start_ns: int, end_ns: int, look: Look
 def graph_figure(graph: Record, start_ns: int, end_ns: int, look: Look) -> tuple['Figure', Shown]:
     """The figure that ``draw_graph`` saves, and how much it shows."""
     figure = new_figure(look)
-    margins = (152, 117, 24, 72) if look.heading else (round(8.5 * look.text), 50, 10, 8)
+    margins = (152, 117, 24, 72) if look.heading else (round(11 * look.text), 50, 10, 8)
     axes = figure.add_axes(box(look, *margins))
     shown = paint_graph(axes, graph, start_ns, end_ns, look)
     origin = min((item['stamp_ns'] for item in graph['clusters']), default=start_ns)

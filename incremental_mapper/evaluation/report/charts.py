@@ -1,0 +1,161 @@
+"""Compression, score and error over the time of a drive, one above the other."""
+
+from collections import Counter
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from incremental_mapper.evaluation.figure import Look, Theme, box, new_figure, plain
+from incremental_mapper.evaluation.finished import FinishedRun
+from incremental_mapper.evaluation.table import BASE
+from incremental_mapper.evaluation.trajectory_error import fit_rigid, match_truth
+from incremental_mapper.geometry import transform_points
+from incremental_mapper.trajectory import NANOSECONDS, Trajectory
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Series: TypeAlias = tuple[NDArray[np.float64], NDArray[np.float64]]
+"""Seconds since the first cluster (N,), and a number at each (N,)."""
+
+SETTLED = 20
+"""Compression is drawn from so many variables of base on: before, each one is a jump."""
+MIN_TRUE_POSES = 3
+
+
+def progress_figure(
+    runs: Mapping[str, FinishedRun],
+    lead: str,
+    truth: Trajectory | None,
+    names: tuple[str, ...],
+    look: Look,
+) -> tuple['Figure', str]:
+    """The figure, and what a caption must say of it.
+
+    ``runs`` are a drive's runs by strategy; ``names`` are all strategies, whose order gives the
+    colours. Scores are those of ``lead``, because those of two strategies cannot be compared.
+    """
+    start = min(run.first_stamp for run in runs.values())
+    colours = strategy_colours(names, look.theme)
+    savings, what = _savings(runs)
+    label, scores = _scores(runs[lead])
+    errors = {} if truth is None else _errors(runs, truth)
+    panels: list[tuple[str, dict[str, Series]]] = []
+    if savings:
+        panels.append((f'{what} saved so far, %', savings))
+    if label:
+        panels.append((f'score of the winners of {lead}, {label}', {lead: scores}))
+    if errors:
+        panels.append(('distance to the truth, cm', errors))
+    figure = new_figure(look)
+    if not panels:
+        return figure, ''
+    end = max(run.last_stamp for run in runs.values())
+    left, bottom, width, height = box(look, 62, 50, 14, 26)
+    gap = 30 / look.height
+    each = (height - gap * (len(panels) - 1)) / len(panels)
+    for index, (title, lines) in enumerate(panels):
+        low = bottom + (len(panels) - 1 - index) * (each + gap)
+        axes = figure.add_axes((left, low, width, each))
+        for name, (seconds, numbers) in lines.items():
+            axes.plot(seconds, numbers, color=colours[name], linewidth=1.7, label=name)
+        axes.set_xlim(0.0, max((end - start) / NANOSECONDS, 0.1))
+        _tidy(axes, title, look, last=index == len(panels) - 1)
+    caption = 'Over time: '
+    caption += ', '.join(
+        text
+        for text, shown in (
+            (f'{what} saved against base', bool(savings)),
+            (f'score of the winners of {lead} (lower is better)', bool(label)),
+            ('distance to the truth after the best rigid fit', bool(errors)),
+        )
+        if shown
+    )
+    return figure, f'{caption}.'
+
+
+def strategy_colours(names: tuple[str, ...], theme: Theme) -> dict[str, str]:
+    """A colour for each strategy; base is grey."""
+    palette = (theme.blue, theme.vermillion, theme.green, theme.purple, theme.orange, theme.sky)
+    others = [name for name in names if name != BASE]
+    colours = {name: palette[index % len(palette)] for index, name in enumerate(others)}
+    return colours | {BASE: theme.grey}
+
+
+def _savings(runs: Mapping[str, FinishedRun]) -> tuple[dict[str, Series], str]:
+    """Percent saved so far, by strategy, and what of.
+
+    Variables are compared with those of the base run. Without one, clusters are compared with
+    the measurements of different stamps, each of which base would give a cluster.
+    """
+    if BASE in runs:
+        base = _stamps(runs[BASE], 'variables')
+        found = {
+            name: _saved(_stamps(run, 'variables'), base, run.first_stamp)
+            for name, run in runs.items()
+            if name != BASE
+        }
+        return found, 'variables'
+    found = {}
+    for name, run in runs.items():
+        members = {m['stamp_ns'] for item in run.graph['clusters'] for m in item['members']}
+        elements = np.array(sorted(members), dtype=np.int64)
+        found[name] = _saved(_stamps(run, 'clusters'), elements, run.first_stamp)
+    return found, 'clusters'
+
+
+def _stamps(run: FinishedRun, what: str) -> NDArray[np.int64]:
+    return np.array(sorted(item['stamp_ns'] for item in run.graph[what]), dtype=np.int64)
+
+
+def _saved(own: NDArray[np.int64], base: NDArray[np.int64], start: int) -> Series:
+    """Percent that ``own`` is fewer than ``base`` up to each time of ``base``."""
+    times = np.unique(base)
+    before = np.searchsorted(base, times, side='right')
+    times, before = times[before >= SETTLED], before[before >= SETTLED]
+    kept = np.searchsorted(own, times, side='right')
+    return (times - start) / NANOSECONDS, 100.0 * (1.0 - kept / np.maximum(before, 1))
+
+
+def _scores(run: FinishedRun) -> tuple[str, Series]:
+    """The name of the commonest score of the winners, and its values."""
+    rows = [row for row in run.windows if row['score']]
+    names = Counter(row['score_name'] for row in rows)
+    if not names:
+        return '', (np.zeros(0), np.zeros(0))
+    name = names.most_common(1)[0][0]
+    chosen = [row for row in rows if row['score_name'] == name]
+    seconds = [run.seconds((int(row['start_ns']) + int(row['end_ns'])) // 2) for row in chosen]
+    return name, (np.array(seconds), np.array([float(row['score']) for row in chosen]))
+
+
+def _errors(runs: Mapping[str, FinishedRun], truth: Trajectory) -> dict[str, Series]:
+    """Centimetres between estimate and truth after the best rigid fit, by strategy."""
+    found = {}
+    for name, run in runs.items():
+        covered, reference = match_truth(run.trajectory, truth)
+        if len(covered) < MIN_TRUE_POSES:
+            continue
+        fit = fit_rigid(covered.positions, reference.positions)
+        apart = transform_points(fit, covered.positions) - reference.positions
+        seconds = (covered.stamps - run.first_stamp) / NANOSECONDS
+        found[name] = (seconds, 100.0 * np.linalg.norm(apart, axis=1))
+    return found
+
+
+def _tidy(axes: 'Axes', title: str, look: Look, last: bool) -> None:
+    from matplotlib.ticker import MaxNLocator
+
+    axes.set_title(title, loc='left', fontsize=look.text, color=look.theme.ink, pad=4)
+    if last:
+        axes.set_xlabel('seconds since the first cluster')
+    plain(axes, look)
+    axes.yaxis.set_major_locator(MaxNLocator(4))
+    axes.grid(color=look.theme.grid, linewidth=0.8)
+    axes.tick_params(labelbottom=last)
+    axes.margins(y=0.12)
+    for side in ('top', 'right'):
+        axes.spines[side].set_visible(False)

@@ -1,0 +1,175 @@
+"""Putting the page together."""
+
+from collections.abc import Mapping
+from collections.abc import Sequence as Ordered
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from incremental_mapper.errors import OutputError
+from incremental_mapper.evaluation.figure import DARK, LIGHT, PAGE, css_colour, css_variables
+from incremental_mapper.evaluation.report import words
+from incremental_mapper.evaluation.report.charts import strategy_colours
+from incremental_mapper.evaluation.report.contents import Contents, Sequence, read_contents
+from incremental_mapper.evaluation.report.drawings import (
+    Swatch,
+    drive_seconds,
+    graph_pictures,
+    graph_swatches,
+    sequence_pictures,
+    stretch_text,
+)
+from incremental_mapper.evaluation.table import (
+    FURTHER_ROWS,
+    PAPER_ROWS,
+    ROWS,
+    Row,
+    Table,
+    make_table,
+)
+
+FILE_NAME = 'report.html'
+TEMPLATE, STYLE = 'page.html', 'style.css'
+
+
+def write_report(out_dir: Path) -> Path:
+    """Write ``report.html`` into an evaluation's folder; returns its path.
+
+    Raises InputError where the folder holds no evaluation, OutputError where the page cannot be
+    written or the extra ``report`` is missing.
+    """
+    try:
+        from jinja2 import Environment, StrictUndefined
+    except ImportError as error:
+        raise OutputError(
+            "the report needs jinja2; install it with: pip install 'incremental_mapper[report]'"
+        ) from error
+    contents = read_contents(out_dir)
+    environment = Environment(
+        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    page = environment.from_string(_resource(TEMPLATE)).render(_context(contents))
+    path = out_dir / FILE_NAME
+    partial = path.with_name(f'.{path.name}.partial')
+    try:
+        partial.write_text(page, encoding='utf-8')
+        partial.replace(path)
+    except OSError as error:
+        raise OutputError(f'{path}: cannot be written ({error.strerror})') from error
+    return path
+
+
+def _context(contents: Contents) -> dict[str, Any]:
+    """What the template is filled with."""
+    record, lead = contents.record, words.lead_strategy(contents)
+    strategies = contents.strategies
+    tables = [('By drive', _tables(make_table(contents.entries(), strategies, record['remarks'])))]
+    pieces = contents.motion_entries()
+    if pieces:
+        tables.append(('By motion', _tables(make_table(pieces, strategies))))
+    colours = strategy_colours(strategies, PAGE)
+    return {
+        'style': _resource(STYLE),
+        'light': css_variables(LIGHT),
+        'dark': css_variables(DARK),
+        'record': record,
+        'strategies': [
+            Swatch(name, 'line', css_colour(colours[name]), css_colour(colours[name]))
+            for name in strategies
+        ],
+        'lead': lead,
+        'what_ran': words.what_ran(contents),
+        'verdict': [] if lead is None else words.verdict(contents, lead),
+        'tiles': [] if lead is None else words.tiles(contents, lead),
+        'failures': words.failures(contents),
+        'tables': tables,
+        'graph_legend': graph_swatches(contents.sequences) if lead is not None else [],
+        'sequences': [
+            _section(contents, sequence, number)
+            for number, sequence in enumerate(contents.sequences, start=1)
+        ],
+        'settings': _yaml(record['settings']),
+        'effective': _effective(contents, lead),
+    }
+
+
+def _section(contents: Contents, sequence: Sequence, number: int) -> dict[str, Any]:
+    """One drive of the page."""
+    return {
+        'number': number,
+        'name': sequence.name,
+        'input': sequence.record['input'],
+        'kind': sequence.record['kind'],
+        'seconds': drive_seconds(sequence),
+        'facts': [] if sequence.lead is None else _facts(sequence, sequence.lead),
+        'pictures': list(sequence_pictures(sequence, contents.strategies, number)),
+        'graphs': list(graph_pictures(sequence, number)),
+        'stretch': '' if sequence.lead is None else stretch_text(sequence),
+        'failures': [
+            (strategy, reason)
+            for name, strategy, reason in words.failures(contents)
+            if name == sequence.name
+        ],
+    }
+
+
+def _facts(sequence: Sequence, lead: str) -> list[tuple[str, str]]:
+    metrics = sequence.jobs[lead]['metrics']
+    rows = {row.name: row for row in ROWS}
+    wanted = (
+        'compression_vertices_percent',
+        'rpe_translation_rmse_m',
+        'rpe_rotation_rmse_deg',
+        'ate_rmse_m',
+    )
+    return [
+        (rows[name].title, rows[name].text(metrics[name]))
+        for name in wanted
+        if metrics.get(name) is not None
+    ]
+
+
+def _tables(table: Table) -> dict[str, Any]:
+    """The table turned: a line for each drive and strategy, a column for each of its rows."""
+    places = {row.name: index for index, row in enumerate(ROWS)}
+
+    def part(rows: Ordered[Row]) -> dict[str, Any]:
+        return {
+            'titles': [row.title for row in rows],
+            'blocks': [
+                {
+                    'title': block.title,
+                    'columns': [
+                        {
+                            'title': column.title,
+                            'lines': [
+                                (name, [column.cells[places[row.name]][index] for row in rows])
+                                for index, name in enumerate(table.strategies)
+                            ],
+                        }
+                        for column in block.columns
+                    ],
+                }
+                for block in table.blocks
+            ],
+        }
+
+    return {'paper': part(PAPER_ROWS), 'beside': part(FURTHER_ROWS), 'remarks': table.remarks}
+
+
+def _effective(contents: Contents, lead: str | None) -> str:
+    """All settings of one run of the lead; inputs differ in what they bring themselves."""
+    for sequence in contents.sequences:
+        if lead in sequence.runs and sequence.jobs[lead]['settings']:
+            return _yaml(sequence.jobs[lead]['settings'])
+    return ''
+
+
+def _yaml(tree: Mapping[str, Any]) -> str:
+    return yaml.safe_dump(dict(tree), sort_keys=False, default_flow_style=None, width=100).strip()
+
+
+def _resource(name: str) -> str:
+    return files(__package__).joinpath(name).read_text(encoding='utf-8')

@@ -1,0 +1,151 @@
+"""The summary in words and the few numbers that it rests on."""
+
+from collections.abc import Sequence as Ordered
+from dataclasses import dataclass
+
+from incremental_mapper.evaluation.metrics import Metrics
+from incremental_mapper.evaluation.report.contents import METHOD, Contents, Sequence
+from incremental_mapper.evaluation.report.drawings import drive_seconds
+from incremental_mapper.evaluation.table import BASE, Entry, mean_metrics
+
+SAME = 0.1
+"""Errors that differ by less than this share are called about the same."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tile:
+    """One number of the summary: what it is, and what it is compared with."""
+
+    number: str
+    what: str
+    beside: str = ''
+
+
+def what_ran(contents: Contents) -> str:
+    """One sentence on the inputs."""
+    done = [sequence for sequence in contents.sequences if sequence.runs]
+    seconds = sum(map(drive_seconds, done))
+    kinds = sorted({str(sequence.record['kind']) for sequence in done})
+    text = (
+        f'{_count(len(contents.sequences), "drive")} ({", ".join(kinds) or "none readable"}), '
+        f'{seconds:.1f} s together, each mapped with '
+        f'{_count(len(contents.strategies), "strategy", "strategies")}: '
+        f'{", ".join(contents.strategies)}.'
+    )
+    failed = failures(contents)
+    if failed:
+        text += f' {_count(len(failed), "run")} failed.'
+    return text
+
+
+def lead_strategy(contents: Contents) -> str | None:
+    """The strategy that the summary speaks of."""
+    finished = {name for sequence in contents.sequences for name in sequence.runs}
+    order = [METHOD, *(name for name in contents.strategies if name != BASE), BASE]
+    return next((name for name in order if name in finished), None)
+
+
+def tiles(contents: Contents, lead: str) -> list[Tile]:
+    """The numbers of the lead, beside those of base; means over the drives."""
+    found: dict[str, dict[str, Entry]] = {}
+    for entry in contents.entries():
+        found.setdefault(entry.sequence, {})[entry.strategy] = entry
+    pair = [lead, BASE] if BASE in contents.strategies and lead != BASE else [lead]
+    means = mean_metrics(list(found.values()), pair)
+    own, base = means[0], (means[1] if len(means) > 1 else {})
+    made = []
+    saving = own.get('compression_vertices_percent')
+    if saving is not None and lead != BASE:
+        made.append(Tile(f'{saving:.1f} %', 'fewer variables than base', _range(found, lead)))
+    for name, unit, digits, what in (
+        ('rpe_translation_rmse_m', ' m', 4, 'relative pose error'),
+        ('rpe_rotation_rmse_deg', '°', 3, 'relative rotation error'),
+        ('ate_rmse_m', ' m', 4, 'absolute trajectory error'),
+        ('map_distance_m', ' cm', 1, "mean distance to base's map"),
+        ('real_time_factor', '', 1, 'real-time factor'),
+    ):
+        value, other = own.get(name), base.get(name)
+        if value is None or (name == 'map_distance_m' and lead == BASE):
+            continue
+        scale = 100.0 if unit == ' cm' else 1.0
+        beside = (
+            ''
+            if other is None or name == 'map_distance_m'
+            else (f'base: {other * scale:.{digits}f}{unit}')
+        )
+        made.append(Tile(f'{value * scale:.{digits}f}{unit}', what, beside))
+    return made
+
+
+def verdict(contents: Contents, lead: str) -> list[str]:
+    """Sentences that say what the numbers mean."""
+    found: dict[str, dict[str, Entry]] = {}
+    for entry in contents.entries():
+        found.setdefault(entry.sequence, {})[entry.strategy] = entry
+    if lead == BASE:
+        return [_connected(contents.sequences, BASE)]
+    told = []
+    both = BASE in contents.strategies
+    own, base = (
+        mean_metrics(list(found.values()), [lead, BASE])
+        if both
+        else (mean_metrics(list(found.values()), [lead])[0], {})
+    )
+    saving = own.get('compression_vertices_percent')
+    if saving is not None:
+        told.append(f'{lead} keeps {saving:.1f} % fewer variables than base.')
+    told += _errors(own, base)
+    told += [_connected(contents.sequences, name) for name in ([lead, BASE] if both else [lead])]
+    return told
+
+
+def failures(contents: Contents) -> list[tuple[str, str, str]]:
+    """Sequence, strategy and reason of every run that is not done."""
+    return [
+        (sequence.name, strategy, str(job['error'] or job['status']))
+        for sequence in contents.sequences
+        for strategy, job in sequence.jobs.items()
+        if strategy not in sequence.runs
+    ]
+
+
+def _errors(own: Metrics, base: Metrics) -> list[str]:
+    """The relative pose error against that of base."""
+    value, other = own.get('rpe_translation_rmse_m'), base.get('rpe_translation_rmse_m')
+    if value is None:
+        return ['There is no truth to measure errors against.']
+    if not other:
+        return [f'Its relative pose error is {value:.4f} m.']
+    change = value / other - 1.0
+    if abs(change) < SAME:
+        judged = 'about the same as'
+    elif change > 0:
+        judged = f'{100 * change:.0f} % above' if change < 1 else f'{value / other:.1f} times'
+    else:
+        judged = f'{-100 * change:.0f} % below'
+    return [f'Its relative pose error is {value:.4f} m, {judged} that of base ({other:.4f} m).']
+
+
+def _connected(sequences: Ordered[Sequence], strategy: str) -> str:
+    runs = [sequence.runs[strategy] for sequence in sequences if strategy in sequence.runs]
+    whole = sum(run.stats.get('components') == 1 for run in runs)
+    if whole == len(runs):
+        return f'Every graph of {strategy} is connected.'
+    verb = 'is' if whole == 1 else 'are'
+    return f'{whole} of the {len(runs)} graphs of {strategy} {verb} connected.'
+
+
+def _range(found: dict[str, dict[str, Entry]], lead: str) -> str:
+    values = [
+        value
+        for entries in found.values()
+        if lead in entries
+        and (value := entries[lead].metrics.get('compression_vertices_percent')) is not None
+    ]
+    if len(values) < 2:
+        return ''
+    return f'{min(values):.1f} to {max(values):.1f} % by drive'
+
+
+def _count(number: int, one: str, many: str = '') -> str:
+    return f'{number} {one if number == 1 else many or one + "s"}'
