@@ -2,23 +2,29 @@
 PYTHON ?= python3
 DEMO_SECONDS ?= 15
 DEMO_DIR ?= demo_out
+TIMING ?= kaist_timing
+TABLE_DIR ?= table_out
+TABLE_CONFIG ?= config/kaist.yaml
+JOBS ?= 1
 
 BIN := .venv/bin
 INSTALLED := .venv/.installed
 MAPPER := $(BIN)/incremental_mapper
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help install demo test lint types check format clean
+.PHONY: help install demo table test lint types check format clean
 
 help:
 	@echo 'make demo    simulate a drive of DEMO_SECONDS ($(DEMO_SECONDS)) seconds, map it, draw it, play it'
 	@echo '             into the ROS node and check that the node makes the same of it'
+	@echo 'make table   evaluate all strategies on simulated drives with the stamps of the paper, which'
+	@echo '             TIMING=DIR holds, and write docs/table.md, .csv and .tex; JOBS=N side by side'
 	@echo 'make test    run the tests'
 	@echo 'make lint    ruff and the import contracts'
 	@echo 'make types   mypy'
 	@echo 'make check   lint, types and test'
 	@echo 'make format  let ruff mend formatting and imports'
-	@echo 'make clean   remove .venv, caches and the output of the demo'
+	@echo 'make clean   remove .venv, caches and the output of demo and table'
 	@echo 'PYTHON=python3.12 chooses the interpreter that .venv is made with (3.11 or later)'
 
 install: $(INSTALLED)
@@ -47,6 +53,16 @@ demo: $(INSTALLED)
 	@echo 'Pictures:'
 	@ls $(DEMO_DIR)/map/*.png
 
+table: $(INSTALLED)
+	@test -d '$(TIMING)' || { echo 'TIMING=$(TIMING) is no folder; name the one with the stamps' \
+		'of the sequences, such as constant_speed_urban-26.csv' >&2; exit 1; }
+	$(BIN)/python benchmarks/timing_drives.py '$(TIMING)' $(TABLE_DIR)/drives
+	$(MAPPER) evaluate $(TABLE_DIR)/drives/* --out $(TABLE_DIR)/evaluation --jobs $(JOBS) \
+		--config $(TABLE_CONFIG) --reference docs/paper.csv \
+		--caption 'Simulated street drives that carry the real core stamps of twelve KAIST sequences.'
+	cp $(TABLE_DIR)/evaluation/table.md $(TABLE_DIR)/evaluation/table.csv \
+		$(TABLE_DIR)/evaluation/table.tex docs
+
 test: $(INSTALLED)
 	$(BIN)/python -m pytest
 
@@ -65,5 +81,5 @@ format: $(INSTALLED)
 	$(BIN)/ruff format .
 
 clean:
-	rm -rf .venv $(DEMO_DIR) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache \
+	rm -rf .venv $(DEMO_DIR) $(TABLE_DIR) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache \
 		.hypothesis .import_linter_cache

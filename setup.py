@@ -9,6 +9,7 @@ SETTINGS = sorted(str(path) for path in Path('config').iterdir())
 
 SIMULATION = ['embreex>=2.17.7.post4']
 REPORT = ['jinja2>=3.1', 'matplotlib>=3.8', 'pyarrow>=14']
+CLUSTER = ['distributed>=2024.1']
 # GTSAM's wheel needs pytest 9, and Jazzy's launch_testing plugin does not load on 9.1 or later.
 TESTS = [
     'pytest==9.0.*',
@@ -21,6 +22,7 @@ TESTS = [
     'ruff>=0.5',
     'types-PyYAML',
     'types-tqdm',
+    *CLUSTER,
 ]
 # A ROS installation provides these itself; the wheels serve machines without one.
 ROS = ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces']
@@ -55,6 +57,7 @@ setup(
         'ros': ROS,
         'sim': SIMULATION,
         'report': REPORT,
+        'cluster': CLUSTER,
         'test': TESTS,
     },
     entry_points={

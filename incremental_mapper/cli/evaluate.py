@@ -87,6 +87,9 @@ def add_parser(subparsers: Any) -> None:
         help='a table.csv of an earlier call, or of published numbers, to stand beside in table.md',
     )
     parser.add_argument(
+        '--caption', default='', metavar='TEXT', help='what the table says of the drives'
+    )
+    parser.add_argument(
         '--verify',
         action='store_true',
         help='score every candidate by direct search too and report the agreement (slow)',
@@ -150,6 +153,7 @@ def _plan(args: argparse.Namespace) -> Plan:
         settings=tree,
         settings_from=where,
         command=shlex.join(['incremental_mapper', *sys.argv[1:]]),
+        caption=args.caption,
         by_motion=args.by_motion,
     )
 

@@ -42,6 +42,7 @@ class Plan:
     settings: Tree
     settings_from: str
     command: str
+    caption: str
     by_motion: bool
 
 
@@ -86,6 +87,7 @@ def evaluate(
     evaluation = Evaluation(
         out_dir=plan.out_dir.resolve(),
         command=plan.command,
+        caption=plan.caption,
         strategies=plan.strategies,
         settings=plan.settings,
         settings_from=plan.settings_from,

@@ -28,7 +28,9 @@ def write_tables(evaluation: Evaluation, by_motion: bool, reference: Reference |
     try:
         write_csv(folder / 'table.csv', [*found, *mean_entries(found, evaluation.strategies)])
         (folder / 'table.md').write_text(_page(evaluation, table, beside), encoding='utf-8')
-        (folder / 'table.tex').write_text(latex_table(table) + '\n', encoding='utf-8')
+        (folder / 'table.tex').write_text(
+            latex_table(table, evaluation.caption) + '\n', encoding='utf-8'
+        )
     except OSError as error:
         raise OutputError(f'{folder}: cannot be written ({error.strerror})') from error
     return table
@@ -36,6 +38,8 @@ def write_tables(evaluation: Evaluation, by_motion: bool, reference: Reference |
 
 def _page(evaluation: Evaluation, table: Table, beside: str) -> str:
     parts = ['# Strategies compared', markdown_table(table)]
+    if evaluation.caption:
+        parts.insert(1, evaluation.caption)
     if beside:
         parts += ['## Beside the reference', beside]
     parts += ['## Made by', _origin(evaluation)]

@@ -2,6 +2,7 @@
 
     format      1
     command     the command line that made it
+    caption     what the user says of the drives; may be empty
     created     UTC time, ISO 8601
     status      'running', then 'finished'
     strategies  list of names, in the order of the table
@@ -66,6 +67,7 @@ class Evaluation:
 
     out_dir: Path
     command: str
+    caption: str
     strategies: tuple[str, ...]
     settings: Tree
     settings_from: str
@@ -116,6 +118,7 @@ def _tree(evaluation: Evaluation) -> dict[str, Any]:
     return {
         'format': FORMAT,
         'command': evaluation.command,
+        'caption': evaluation.caption,
         'created': datetime.now(UTC).isoformat(timespec='seconds'),
         'status': 'finished' if evaluation.finished else 'running',
         'strategies': list(evaluation.strategies),

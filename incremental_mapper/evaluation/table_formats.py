@@ -90,14 +90,14 @@ def markdown_table(table: Table) -> str:
     return '\n'.join(lines).rstrip()
 
 
-def latex_table(table: Table, caption: str = 'Strategies compared.') -> str:
+def latex_table(table: Table, caption: str) -> str:
     """The table as a LaTeX float; best bold, second best underlined."""
+    about = (caption or 'Strategies compared.').translate(LATEX_ESCAPES)
     lines = [
         r'% needs \usepackage{adjustbox,booktabs}',
         r'\begin{table*}[t]',
         r'\centering',
-        rf'\caption{{{caption.translate(LATEX_ESCAPES)} Best of a row and sequence in bold, '
-        r'second best underlined.}',
+        rf'\caption{{{about} Best of a row and sequence in bold, second best underlined.}}',
         *_latex_tabulars(table),
         *(f'% {remark}' for remark in table.remarks),
         r'\end{table*}',
