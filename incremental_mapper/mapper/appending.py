@@ -7,6 +7,7 @@ import numpy as np
 
 from incremental_mapper.candidates.clusters import Candidate
 from incremental_mapper.config import Config
+from incremental_mapper.graph.belief import extend, shrink
 from incremental_mapper.graph.factors import (
     Factor,
     FactorKind,
@@ -14,8 +15,7 @@ from incremental_mapper.graph.factors import (
     pose_key,
     velocity_key,
 )
-from incremental_mapper.graph.smoother import extend, shorten
-from incremental_mapper.graph.solver import copy_value, make_graph
+from incremental_mapper.graph.solver import copy_value
 from incremental_mapper.mapper.front_end import PreparedFix, PreparedScan
 from incremental_mapper.mapper.local_graph import WindowFactors, WindowInputs
 from incremental_mapper.mapper.state import (
@@ -41,7 +41,7 @@ def append_candidate(
     inputs: WindowInputs,
     consecutive: bool,
 ) -> tuple[list[PlacedCluster], list[Factor]]:
-    """Give the winner its final numbers, append it to ``state`` and optimise the lag.
+    """Give the winner its final numbers, append it to ``state`` and solve.
 
     ``extra`` are weak priors or bridges beside the candidate's own factors; ``consecutive``
     makes the next window connect from the newest cluster whatever it has. Returns the new
@@ -60,8 +60,8 @@ def append_candidate(
     values = gtsam.Values()
     for key in initial.keys():  # noqa: SIM118 (no mapping)
         copy_value(initial, key, values, final.get(key, key))
-    state.lag = extend(
-        state.lag,
+    state.belief = extend(
+        state.belief,
         [factor.factor for factor in made],
         values,
         {item.id: item.cluster.stamp for item in placed},
@@ -81,20 +81,17 @@ def append_candidate(
     elif len(inputs.states) > 0:
         state.last_velocity = inputs.states[max(inputs.states)].velocity
     oldest = state.frontier.newest_stamp - round(config.graph.lag * NANOSECONDS)
-    state.lag, gone = shorten(state.lag, oldest, state.frontier.clusters())
+    state.belief, gone = shrink(state.belief, state.frontier.clusters(), oldest)
     state.keep(gone)
     return placed, made
 
 
 def _velocity_sigma(state: GraphState, cluster: int) -> float:
     """Largest standard deviation of a cluster's velocity, m/s; only asked for at the start."""
-    if state.velocity_known or state.lag.values is None:
+    if state.velocity_known:
         return 0.0
-    graph = make_graph(state.lag.factors)
-    try:
-        marginals = gtsam.Marginals(graph, state.lag.values)
-        covariance = marginals.marginalCovariance(velocity_key(cluster))
-    except RuntimeError:
+    covariance = state.belief.covariance(velocity_key(cluster))
+    if covariance is None:
         return float('inf')
     return float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
 

@@ -12,13 +12,13 @@ import numpy as np
 from incremental_mapper.config import Config
 from incremental_mapper.frontend.geodesy import IDENTITY_ALIGNMENT, align_track
 from incremental_mapper.geometry import pose_matrix
+from incremental_mapper.graph.belief import belief_of
 from incremental_mapper.graph.factors import (
     Factor,
     FactorKind,
     gnss_factor,
     pose_prior,
 )
-from incremental_mapper.graph.smoother import Lag, shorten
 from incremental_mapper.graph.solver import copy_value, make_graph, optimize
 from incremental_mapper.mapper.front_end import Prepared, PreparedFix
 from incremental_mapper.mapper.state import GraphState
@@ -76,14 +76,14 @@ def georeference(state: GraphState, config: Config) -> bool:
     values = turned if solution is None else solution.values
     clusters = {placed.id: placed.cluster.stamp for placed in state.clusters}
     newest = max(clusters.values())
-    lag, gone = shorten(
-        Lag(factors=plain, values=values, clusters=clusters),
-        newest - round(config.graph.lag * NANOSECONDS),
+    state.belief, state.values = belief_of(
+        plain,
+        values,
+        clusters,
         state.frontier.clusters(),
+        newest - round(config.graph.lag * NANOSECONDS),
     )
     state.factors = factors
-    state.values = gone
-    state.lag = lag
     state.last_velocity = T_enu_map.rotation().rotate(state.last_velocity)
     state.alignment = IDENTITY_ALIGNMENT
     state.georeferenced = True

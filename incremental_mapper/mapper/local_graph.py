@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import gtsam
 import numpy as np
+from numpy.typing import NDArray
 
 from incremental_mapper.candidates.clusters import (
     HEAD,
@@ -174,22 +175,29 @@ class WindowFactors:
     def initial(self, candidate: Candidate) -> gtsam.Values:
         """Initial values of the candidate's new variables."""
         values = gtsam.Values()
-        for index, cluster in enumerate(candidate.clusters):
-            own, state = self.local_id(cluster), self._in.states[cluster.stamp]
-            values.insert(pose_key(own), state.pose)
-            if index in candidate.inertial_clusters:
-                values.insert(velocity_key(own), state.velocity)
-                values.insert(bias_key(own), self._in.head_state.bias)
-        if self.starts_head(candidate):
-            head = self._in.frontier.head
-            assert head is not None
-            values.insert(velocity_key(head), self._in.head_state.velocity)
-            values.insert(bias_key(head), self._in.head_state.bias)
+        self.add_initial(candidate, values)
         return values
 
-    def starts_head(self, candidate: Candidate) -> bool:
-        """Whether the candidate gives velocity and bias to a cluster of G(t-1)."""
-        return HEAD in candidate.inertial_clusters and not self._in.frontier.head_inertial
+    def add_initial(self, candidate: Candidate, values: gtsam.Values) -> None:
+        """Insert those of the candidate's new variables that ``values`` lacks."""
+        for index, cluster in enumerate(candidate.clusters):
+            own, state = self.local_id(cluster), self._in.states[cluster.stamp]
+            if not values.exists(pose_key(own)):
+                values.insert(pose_key(own), state.pose)
+            if index in candidate.inertial_clusters:
+                self._add_inertial(own, state.velocity, values)
+        # A candidate may give velocity and bias to a cluster of G(t-1).
+        if HEAD in candidate.inertial_clusters and not self._in.frontier.head_inertial:
+            head = self._in.frontier.head
+            assert head is not None
+            self._add_inertial(head, self._in.head_state.velocity, values)
+
+    def _add_inertial(
+        self, cluster: int, velocity: NDArray[np.float64], values: gtsam.Values
+    ) -> None:
+        if not values.exists(velocity_key(cluster)):
+            values.insert(velocity_key(cluster), velocity)
+            values.insert(bias_key(cluster), self._in.head_state.bias)
 
     def _odometry(
         self, item: PreparedScan, start: int, start_cluster: Cluster | None, end: Cluster

@@ -16,8 +16,8 @@ from incremental_mapper.candidates.spans import ImuStamps
 from incremental_mapper.config import Config
 from incremental_mapper.criteria.criterion import strategy_plan
 from incremental_mapper.frontend.inertial import EMPTY_SERIES, preintegration_parameters
+from incremental_mapper.graph.belief import Problem
 from incremental_mapper.graph.factors import Factor, pose_key
-from incremental_mapper.graph.smoother import cluster_keys, split_at
 from incremental_mapper.graph.solver import (
     copy_value,
     make_graph,
@@ -146,20 +146,13 @@ class Mapper:
     def newest(self) -> NewestState | None:
         """Newest pose with covariance and twist, None before the first window; constant cost."""
         cluster = self._state.frontier.newest
-        lag = self._state.lag
-        if cluster is None or lag.values is None:
+        if cluster is None:
             return None
-        graph, covariance = make_graph(lag.factors), None
-        try:
-            marginals = gtsam.Marginals(graph, lag.values)
-            covariance = marginals.marginalCovariance(pose_key(cluster))
-        except RuntimeError:
-            covariance = None
         inertial = self._state.has_inertial(cluster)
         return NewestState(
             stamp=self._state.frontier.newest_stamp,
             pose=self._state.pose(cluster),
-            covariance=covariance,
+            covariance=self._state.belief.covariance(pose_key(cluster)),
             velocity=self._state.velocity(cluster) if inertial else self._state.last_velocity,
         )
 
@@ -228,18 +221,18 @@ class Mapper:
         parts = elements(item.core for item in items)
         factors = WindowFactors(inputs, len(parts))
         scenes = SceneBuilder(items, inputs, factors, self._state, self.config.mom.submap_scans)
-        frontier, keys = self._state.frontier, self._frontier_keys()
+        frontier = self._state.frontier
         task = Task(
             parts=parts,
             head=None if frontier.head is None else frontier.head_stamp,
             imu=ImuStamps(self._series.stamps, self._imu_gap),
             factors=factors,
             scenes=scenes,
-            prior=lambda: split_at(self._state.lag, keys),
-            frontier_keys=keys,
+            problem=Problem(
+                self._state.belief, gtsam.Values(), self.config.graph.max_iterations
+            ),
             # How far a merged measurement must be moved is unknown before the velocity is.
             may_merge=self._state.velocity_known or not self.config.graph.motion_compensation,
-            max_iterations=self.config.graph.max_iterations,
         )
         frame.seconds['candidates'] = time.perf_counter() - started
         choice = choose(
@@ -257,14 +250,6 @@ class Mapper:
         placed, made = self._append(choice, extra, factors, inputs)
         frame.seconds['append'] = time.perf_counter() - started
         return self._close(frame, items, choice, placed, made)
-
-    def _frontier_keys(self) -> tuple[int, ...]:
-        """Keys of the variables that candidates may touch."""
-        values = self._state.lag.values
-        if values is None:
-            return ()
-        held = sorted(self._state.frontier.clusters())
-        return tuple(key for cluster in held for key in cluster_keys(cluster, values))
 
     def _bridged(
         self, choice: Choice, task: Task, inputs: WindowInputs
@@ -305,7 +290,7 @@ class Mapper:
             inputs,
             consecutive=self._plan.only_base,
         )
-        self._totals.solver_failures += int(not self._state.lag.healthy)
+        self._totals.solver_failures += int(not self._state.belief.healthy)
         georeference(self._state, self.config)
         frontier = self._state.frontier
         # Samples after the last cluster stamp belong to the next window.
@@ -325,7 +310,7 @@ class Mapper:
             self._base.add_element(odometry, gnss, joined)
 
     def _newest_error(self, made: Sequence[Factor]) -> float:
-        """Σ‖h(x)−z‖²_Σ of the window's factors after the lag was optimised with them."""
+        """Σ‖h(x)−z‖²_Σ of the window's factors after they were appended."""
         touched = {key for factor in made for key in factor.keys}
         values = gtsam.Values()
         for key in touched:

@@ -1,7 +1,7 @@
 """One window's choice: enumerate, filter, solve, score (paper, Algorithm 1, steps 3 to 5)."""
 
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import islice
 
@@ -20,14 +20,8 @@ from incremental_mapper.criteria.criterion import (
     StrategyPlan,
 )
 from incremental_mapper.criteria.mom import direct_score, fast_score
-from incremental_mapper.graph.solver import (
-    Elimination,
-    copy_value,
-    follow,
-    make_graph,
-    optimize,
-    squared_error,
-)
+from incremental_mapper.graph.belief import Problem
+from incremental_mapper.graph.solver import copy_value
 from incremental_mapper.mapper.local_graph import WindowFactors
 from incremental_mapper.mapper.scenes import SceneBuilder
 
@@ -83,9 +77,8 @@ class Choice:
 class Task:
     """What is needed to choose: the elements, their factors, and what they are judged on.
 
-    ``prior`` splits G(t-1) at the frontier, None before there is one; it is asked for only
-    where something is solved. ``head`` is the stamp of the cluster to connect from. Without
-    ``may_merge`` candidates that merge are taken only where no other is connected.
+    ``problem`` is what G(t-1) says of its frontier. ``head`` is the stamp of the cluster to
+    connect from. Without ``may_merge`` candidates that merge are taken only where no other is connected.
     """
 
     parts: tuple[Element, ...]
@@ -93,10 +86,8 @@ class Task:
     imu: ImuStamps
     factors: WindowFactors
     scenes: SceneBuilder
-    prior: Callable[[], Elimination | None]
-    frontier_keys: tuple[int, ...]
+    problem: Problem
     may_merge: bool
-    max_iterations: int
 
 
 def choose(
@@ -164,9 +155,15 @@ def choose(
         for item in enumerated
     )
     best = _best(scores, [proposal.candidate for proposal, _ in proposals])
+    winner = initial = None
+    if best is not None:
+        winner, solution = proposals[best][0].candidate, proposals[best][1]
+        initial = task.factors.initial(winner)
+        if solution is not None:
+            initial = _restrict(solution, initial)
     return Choice(
-        winner=None if best is None else proposals[best][0].candidate,
-        initial=None if best is None else proposals[best][1],
+        winner=winner,
+        initial=initial,
         loose=(),
         score=None if best is None else scores[best],
         score_name=criterion.name,
@@ -190,34 +187,20 @@ def _propose(
     plan: StrategyPlan,
     connected: list[Candidate],
     clock: '_Clock',
-) -> Iterator[tuple[Proposal, gtsam.Values]]:
+) -> Iterator[tuple[Proposal, gtsam.Values | None]]:
     """Solve the connected candidates; what cannot be solved is left out."""
-    if not plan.solve:
-        for candidate in connected:
-            yield Proposal(candidate), task.factors.initial(candidate)
-        return
-    if not connected:
-        return
-    prior = task.prior()
-    clock.lap('solve')
     for candidate in connected:
-        own = [factor.factor for factor in task.factors.factors(candidate)]
-        fresh = task.factors.initial(candidate)
-        initial = gtsam.Values(fresh)
-        if prior is not None:
-            for key in task.frontier_keys:
-                copy_value(prior.values, key, initial)
-        rest = () if prior is None else prior.factors
-        solution = optimize(make_graph([*rest, *own]), initial, task.max_iterations)
-        if solution is None:
+        if not plan.solve:
+            yield Proposal(candidate), None
             continue
-        error = squared_error(own, solution.values)
-        poses = None
-        if plan.scene:
-            steps = None if prior is None else follow(prior, solution.values)
-            poses = task.scenes.poses(candidate, solution.values, steps)
+        factors = [factor.factor for factor in task.factors.factors(candidate)]
+        task.factors.add_initial(candidate, task.problem.values)
+        solved = task.problem.solve(factors)
+        if solved is None:
+            continue
+        poses = task.scenes.poses(candidate, solved.values, None) if plan.scene else None
         clock.lap('solve')
-        yield Proposal(candidate, error, poses), _restrict(solution.values, fresh)
+        yield Proposal(candidate, solved.error, poses), solved.values
 
 
 def _restrict(values: gtsam.Values, wanted: gtsam.Values) -> gtsam.Values:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from incremental_mapper.candidates.clusters import Cluster
 from incremental_mapper.config import MOST_SUBMAP_SCANS
 from incremental_mapper.frontend.geodesy import Alignment
+from incremental_mapper.graph.belief import Belief
 from incremental_mapper.graph.connectivity import UnionFind
 from incremental_mapper.graph.factors import (
     Factor,
@@ -19,7 +20,6 @@ from incremental_mapper.graph.factors import (
     pose_key,
     velocity_key,
 )
-from incremental_mapper.graph.smoother import Lag
 from incremental_mapper.graph.solver import copy_value
 
 
@@ -87,7 +87,7 @@ def _recent_scans() -> deque[tuple[PlacedScan, NDArray[np.float64]]]:
 class GraphState:
     """All that the mapper remembers.
 
-    ``values`` holds what has left the lag; ``recent`` are the newest scans with their points
+    ``belief`` is the newest part, ``values`` what has left it; ``recent`` are the newest scans with their points
     (M, 3) for scoring. ``scan_offsets`` is T_cluster_scan of each LiDAR's
     last scan. ``last_velocity`` and ``last_bias`` are the newest ones; ``velocity_known`` says
     that the graph has pinned the velocity down since the start.
@@ -100,7 +100,7 @@ class GraphState:
     scans: list[PlacedScan] = field(default_factory=list)
     recent: deque[tuple[PlacedScan, NDArray[np.float64]]] = field(default_factory=_recent_scans)
     fixes: list[PlacedFix] = field(default_factory=list)
-    lag: Lag = field(default_factory=Lag)
+    belief: Belief = field(default_factory=Belief)
     values: gtsam.Values = field(default_factory=gtsam.Values)
     components: UnionFind[int] = field(default_factory=UnionFind)
     frontier: Frontier = field(default_factory=Frontier)
@@ -138,20 +138,17 @@ class GraphState:
 
     def in_lag(self, cluster: int) -> bool:
         """Whether a cluster's pose still changes."""
-        return self.lag.clusters is not None and cluster in self.lag.clusters
+        return cluster in self.belief.clusters
 
     def has_inertial(self, cluster: int) -> bool:
         """Whether a cluster has velocity and bias."""
         key = velocity_key(cluster)
-        return self.values.exists(key) or (
-            self.lag.values is not None and self.lag.values.exists(key)
-        )
+        return self.values.exists(key) or self.belief.values.exists(key)
 
     def all_values(self) -> gtsam.Values:
         """Newest estimate of every variable of G(t)."""
         values = gtsam.Values(self.values)
-        if self.lag.values is not None:
-            values.insert(self.lag.values)
+        values.insert(self.belief.values)
         return values
 
     def keep(self, gone: gtsam.Values) -> None:
@@ -161,8 +158,8 @@ class GraphState:
 
     def holder(self, key: int) -> gtsam.Values:
         """The values that hold a variable's newest estimate."""
-        lag = self.lag.values
-        return lag if lag is not None and lag.exists(key) else self.values
+        newest = self.belief.values
+        return newest if newest.exists(key) else self.values
 
 
 @dataclass(slots=True)

@@ -1,0 +1,90 @@
+"""Factors as rows of a linear least-squares problem, in plain arrays.
+
+A window's problem has a few dozen unknowns. At that size dense algebra is several times cheaper
+than GTSAM's elimination tree, and a factor that many candidates share is linearised only once.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import lru_cache
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg.lapack import dposv
+
+Array = NDArray[np.float64]
+
+
+@lru_cache(maxsize=65_536)
+def dimension(key: int) -> int:
+    """Tangent dimension of a variable: 6 for a pose or a bias, 3 for a velocity."""
+    return 3 if gtsam.Symbol(key).chr() == ord('v') else 6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rows:
+    """A whitened factor at some values: its squared error is ‖matrix · δ − rhs‖².
+
+    ``matrix`` is (m, n) and ``rhs`` (m,); δ stacks the tangent steps of ``keys``. Their products
+    ``information`` (n, n) and ``gradient`` (n,) are what normal equations add up.
+    """
+
+    keys: tuple[int, ...]
+    matrix: Array
+    rhs: Array
+    information: Array
+    gradient: Array
+
+
+def linearize(factor: gtsam.NonlinearFactor, values: gtsam.Values) -> Rows:
+    """Linearise a factor at ``values``; raises RuntimeError where a variable is missing."""
+    linear = factor.linearize(values)
+    matrix, rhs = linear.jacobian()
+    return Rows(tuple(linear.keys()), matrix, rhs, matrix.T @ matrix, matrix.T @ rhs)
+
+
+class Layout:
+    """Where each variable's tangent step stands in a stacked vector."""
+
+    __slots__ = ('_columns', 'keys', 'size')
+
+    def __init__(self, keys: Iterable[int]) -> None:
+        self.keys = tuple(dict.fromkeys(keys))
+        self._columns: dict[int, NDArray[np.intp]] = {}
+        self.size = 0
+        for key in self.keys:
+            width = dimension(key)
+            self._columns[key] = np.arange(self.size, self.size + width)
+            self.size += width
+
+    def columns(self, keys: Iterable[int]) -> NDArray[np.intp]:
+        """Positions of the variables' steps, one after the other."""
+        found = [self._columns[key] for key in keys]
+        return np.concatenate(found) if found else np.zeros(0, dtype=np.intp)
+
+    def vector_values(self, step: Array) -> gtsam.VectorValues:
+        """A stacked step (size,) as GTSAM's container."""
+        vectors = gtsam.VectorValues()
+        for key, columns in self._columns.items():
+            vectors.insert(key, step[columns])
+        return vectors
+
+
+def solve_scaled(information: Array, right: Array) -> Array | None:
+    """Solve symmetric positive definite equations for ``right`` (n,) or (n, k).
+
+    None where they are not definite or not finite. Units differ by many orders of magnitude
+    between positions and biases, so the matrix is scaled to a unit diagonal first: that is what
+    Cholesky's accuracy depends on.
+    """
+    diagonal = np.diagonal(information)
+    if not np.all(diagonal > 0.0):  # also catches NaN
+        return None
+    scale = 1.0 / np.sqrt(diagonal)
+    rows = scale if right.ndim == 1 else scale[:, None]
+    _, solution, failed = dposv(information * scale[:, None] * scale, right * rows)
+    if failed or not np.isfinite(solution).all():
+        return None
+    step: Array = solution * rows
+    return step
