@@ -1,4 +1,4 @@
-"""Solving, marginals that stand in for the rest of the graph, and the smoother's lag."""
+"""Solving, and marginals that stand in for the rest of a graph."""
 
 import gtsam
 import numpy as np
@@ -6,21 +6,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from incremental_mapper.config import GraphSettings
 from incremental_mapper.graph.factors import (
     bias_key,
-    inertial_priors,
     key_name,
     pose_key,
     pose_prior,
     pose_sigmas,
     velocity_key,
 )
-from incremental_mapper.graph.smoother import Lag, extend, shorten, split_at
 from incremental_mapper.graph.solver import (
     copy_value,
     eliminate,
-    follow,
     make_graph,
     optimize,
     squared_error,
@@ -99,10 +95,10 @@ def test_dropped_variables_follow_the_kept_ones_as_the_dense_conditional_mean(se
     kept_keys = [pose_key(i) for i in sorted(kept)]
     split = eliminate(make_graph(factors), values, dropped)
     moves = {key: rng.normal(scale=0.05, size=6) for key in kept_keys}
-    solved = gtsam.Values()
+    given_steps = gtsam.VectorValues()
     for key in kept_keys:
-        solved.insert(key, values.atPose3(key).retract(moves[key]))
-    steps = follow(split, solved)
+        given_steps.insert(key, moves[key])
+    steps = split.conditional.optimize(given_steps)
 
     information, vector = dense(factors, values, [*dropped, *kept_keys])
     size = 6 * len(dropped)
@@ -135,7 +131,9 @@ def test_undetermined_variable_is_dropped_without_a_word_on_the_kept_ones():
     copy_value(values, pose_key(0), kept)
     marginal = gtsam.Marginals(make_graph(split.factors), kept).marginalCovariance(pose_key(0))
     assert np.sqrt(np.diag(marginal)) == pytest.approx([0.1] * 3 + [0.5] * 3, rel=1e-6)
-    steps = follow(split, kept).at(pose_key(1))
+    still = gtsam.VectorValues()
+    still.insert(pose_key(0), np.zeros(6))
+    steps = split.conditional.optimize(still).at(pose_key(1))
     assert steps == pytest.approx([0, 0, 0, 1, 2, 3], abs=1e-5)
 
 
@@ -200,124 +198,3 @@ def test_every_kind_of_variable_is_copied_also_under_another_name():
     assert target.atVector(velocity_key(4)).tolist() == [1.0, 2.0, 3.0]
     assert target.atConstantBias(bias_key(4)).vector().tolist() == [1, 1, 1, 2, 2, 2]
     assert key_name(velocity_key(4)) == 'v4'
-
-
-# The smoother over a long chain.
-
-
-def drive(count, seed=0):
-    """Factors and initial values of each cluster of a chain, one cluster every 0.2 s."""
-    rng = np.random.default_rng(seed)
-    true = gtsam.Pose3()
-    guess = gtsam.Pose3()
-    for i in range(count):
-        initial = gtsam.Values()
-        if i == 0:
-            factors = [pose_prior(pose_key(0), true, pose_sigmas(0.1, 0.02), 0).factor]
-        else:
-            motion = noisy(STEP, rng, 0.002)
-            true, guess = true.compose(STEP), guess.compose(motion)
-            factors = [odometry(i - 1, i, motion)]
-        if i % 3 == 0:
-            place = true.translation() + rng.normal(scale=0.02, size=3)
-            factors.append(gtsam.GPSFactor(pose_key(i), place, FIX_NOISE))
-        initial.insert(pose_key(i), guess)
-        yield i, factors, initial
-
-
-def smoothed(count, lag_stamps, keep=()):
-    lag, left, everything = Lag(), {}, []
-    start = gtsam.Values()
-    for i, factors, initial in drive(count):
-        everything.extend(factors)
-        start.insert(initial)
-        lag = extend(lag, factors, initial, {i: i * SECOND // 5}, 20)
-        assert lag.healthy
-        lag, gone = shorten(lag, i * SECOND // 5 - lag_stamps, {i, *keep})
-        for key in gone.keys():  # noqa: SIM118 (no mapping)
-            assert key not in left
-            left[key] = gone.atPose3(key)
-    return lag, left, optimize(make_graph(everything), start, 100).values
-
-
-def test_newest_pose_of_the_lag_is_that_of_the_batch_over_a_long_chain():
-    lag, left, batch = smoothed(80, 2 * SECOND)
-    assert len(left) == 80 - len(lag.clusters)
-    for cluster in lag.clusters:
-        key = pose_key(cluster)
-        error = batch.atPose3(key).localCoordinates(lag.values.atPose3(key))
-        assert np.abs(error).max() < 2e-4
-
-
-def test_what_left_the_lag_is_gone_from_it_for_good():
-    lag, left, _ = smoothed(40, SECOND)
-    held = set(lag.values.keys())
-    assert held.isdisjoint(left)
-    assert {pose_key(cluster) for cluster in lag.clusters} == held
-    for factor in lag.factors:
-        assert set(factor.keys()) <= held
-
-
-def test_lag_stays_small_however_long_the_drive():
-    short, _, _ = smoothed(20, SECOND)
-    long, _, _ = smoothed(80, SECOND)
-    assert len(long.clusters) == len(short.clusters) <= 6
-    assert len(long.factors) <= len(short.factors) + 2
-
-
-def test_cluster_that_is_still_needed_stays_whatever_its_age():
-    lag, left, batch = smoothed(30, SECOND, keep={4})
-    assert 4 in lag.clusters
-    assert pose_key(4) not in left
-    newest = pose_key(29)
-    error = batch.atPose3(newest).localCoordinates(lag.values.atPose3(newest))
-    assert np.abs(error).max() < 2e-4
-
-
-def test_final_values_are_the_last_estimates_inside_the_lag():
-    _, factors, initial = next(iter(drive(1)))
-    lag = extend(Lag(), factors, initial, {0: 0}, 20)
-    before = lag.values.atPose3(pose_key(0))
-    shorter, gone = shorten(lag, 1, ())
-    assert gone.atPose3(pose_key(0)).equals(before, 0.0)
-    assert shorter.values.size() == 0
-
-
-def test_failed_optimisation_keeps_the_initial_values_and_says_so():
-    _, factors, initial = next(iter(drive(1)))
-    bad = pose_prior(
-        pose_key(0), gtsam.Pose3(gtsam.Rot3(), np.full(3, np.nan)), pose_sigmas(1, 1), 0
-    )
-    lag = extend(Lag(), [*factors, bad.factor], initial, {0: 0}, 20)
-    assert not lag.healthy
-    assert lag.values.atPose3(pose_key(0)).equals(initial.atPose3(pose_key(0)), 0.0)
-
-
-def test_empty_lag_has_nothing_to_split_or_shorten():
-    assert split_at(Lag(), []) is None
-    lag, gone = shorten(Lag(), 10, ())
-    assert lag.values is None
-    assert gone.size() == 0
-
-
-def test_frontier_split_off_a_lag_with_velocities_has_the_lag_s_marginal():
-    factors, values = make_chain(9)
-    bias = gtsam.imuBias.ConstantBias()
-    for i in range(6):
-        priors = inertial_priors(i, np.array([1.0, 0.0, 0.0]), 0.5, bias, GraphSettings(), 0)
-        factors += [prior.factor for prior in priors]
-        values.insert(velocity_key(i), np.array([1.0, 0.0, 0.0]))
-        values.insert(bias_key(i), bias)
-    lag = Lag(tuple(factors), values, {i: i for i in range(6)})
-    kept = [pose_key(5), velocity_key(5), bias_key(5)]
-    split = split_at(lag, kept)
-    assert {key for factor in split.factors for key in factor.keys()} == set(kept)  # noqa: SIM118
-    whole = gtsam.Marginals(make_graph(factors), values)
-    smaller = gtsam.Values()
-    for key in kept:
-        copy_value(values, key, smaller)
-    marginal = gtsam.Marginals(make_graph(split.factors), smaller)
-    for key in kept:
-        assert marginal.marginalCovariance(key) == pytest.approx(
-            whole.marginalCovariance(key), rel=1e-6, abs=1e-12
-        )

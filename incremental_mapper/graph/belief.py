@@ -9,10 +9,10 @@ window.
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from incremental_mapper.graph.factors import bias_key, pose_key, velocity_key
@@ -61,8 +61,8 @@ class Belief:
 class Solved:
     """Optimised variables.
 
-    ``values`` has the new estimates, followers included. ``error`` is Σ‖h(x)−z‖²_Σ of the
-    factors.
+    ``values`` has the new estimates, those of watched followers included. ``error`` is
+    Σ‖h(x)−z‖²_Σ of the factors.
     """
 
     values: gtsam.Values
@@ -73,11 +73,23 @@ class Problem:
     """Solves sets of factors on top of a belief; what sets share is linearised once.
 
     ``initial`` holds the new variables; more may be inserted into ``values`` between solves.
+    Of the belief's followers those in ``watched`` are moved along, by default all.
     """
 
-    def __init__(self, belief: Belief, initial: gtsam.Values, max_iterations: int) -> None:
+    def __init__(
+        self,
+        belief: Belief,
+        initial: gtsam.Values,
+        max_iterations: int,
+        watched: Collection[int] | None = None,
+    ) -> None:
         self._belief = belief
         self._information = belief.root.T @ belief.root
+        self._followers, self._slopes = Layout(belief.followers), belief.slopes
+        if watched is not None:
+            wanted = [key for key in belief.followers if key in watched]
+            self._slopes = belief.slopes[self._followers.columns(wanted)]
+            self._followers = Layout(wanted)
         self._max_iterations = max_iterations
         self._rows: dict[gtsam.NonlinearFactor, Rows] = {}
         self.values = gtsam.Values(belief.values)
@@ -89,7 +101,8 @@ class Problem:
         Each variable that is new is also held at its initial value, so loosely (LOOSE) that it
         shows only where the factors leave it undetermined.
         """
-        layout = Layout([*self._belief.keys, *(key for factor in factors for key in factor.keys())])
+        touched = chain.from_iterable(factor.keys() for factor in factors)
+        layout = Layout([*self._belief.keys, *touched])
         width = len(self._information)
         prior = np.zeros((layout.size, layout.size))
         prior[:width, :width] = self._information
@@ -97,19 +110,16 @@ class Problem:
         values, total = self.values, np.zeros(layout.size)
         error = squared_error(factors, values)
         rows = [self._shared(factor) for factor in factors]
+        columns = [layout.columns(row.keys) for row in rows]
         for _ in range(self._max_iterations):
             information, gradient = prior.copy(), -prior @ total
-            for row in rows:
-                columns = layout.columns(row.keys)
-                information[np.ix_(columns, columns)] += row.information
-                gradient[columns] += row.gradient
+            for row, own in zip(rows, columns, strict=True):
+                information[own[:, None], own] += row.information
+                gradient[own] += row.gradient
             step = solve_scaled(information, gradient)
             if step is None:
                 return None
-            expected = sum(
-                float(np.sum((row.matrix @ step[layout.columns(row.keys)] - row.rhs) ** 2))
-                for row in rows
-            )
+            expected = sum(row.error(step[own]) for row, own in zip(rows, columns, strict=True))
             before = error + float(total @ prior @ total)
             for _ in range(6):
                 moved = values.retract(layout.vector_values(step))
@@ -124,11 +134,8 @@ class Problem:
             if abs(error - expected) <= AGREEMENT * (1.0 + expected):
                 break
             rows = [linearize(factor, values) for factor in factors]
-        steps = _parts(self._belief.followers, self._belief.slopes @ total[:width])
-        followers = gtsam.VectorValues()
-        for key, step in steps:
-            followers.insert(key, step)
-        return Solved(values.retract(followers), error)
+        followed = self._followers.vector_values(self._slopes @ total[:width])
+        return Solved(values.retract(followed), error)
 
     def _shared(self, factor: gtsam.NonlinearFactor) -> Rows:
         rows = self._rows.get(factor)
@@ -178,33 +185,34 @@ def shrink(belief: Belief, keep: Collection[int], oldest: int) -> tuple[Belief, 
     kept = tuple(key for key in layout.keys if gtsam.Symbol(key).index() in wanted)
     dropped = tuple(key for key in layout.keys if gtsam.Symbol(key).index() not in wanted)
     first, last = layout.columns(dropped), layout.columns(kept)
-    reduced = np.linalg.qr(belief.root[:, np.concatenate([first, last])], mode='r')
+    reduced = _triangle(belief.root[:, np.concatenate([first, last])])
     count = len(first)
     follow_kept = -solve_triangular(reduced[:count, :count], reduced[:count, count:])
     slopes = np.vstack(
         [belief.slopes[:, last] + belief.slopes[:, first] @ follow_kept, follow_kept]
     )
-    followers = (*belief.followers, *dropped)
+    followers = Layout([*belief.followers, *dropped])
     gone_clusters = {
         cluster
         for cluster, stamp in belief.clusters.items()
         if stamp < oldest and cluster not in wanted
     }
-    values, gone = gtsam.Values(belief.values), gtsam.Values()
-    stays, rows = [], []
-    for key, columns in _places(followers):
-        if gtsam.Symbol(key).index() in gone_clusters:
-            copy_value(values, key, gone)
-            values.erase(key)
-        else:
-            stays.append(key)
-            rows.append(columns)
-    remaining = np.concatenate(rows) if rows else np.zeros(0, dtype=np.intp)
+    values, gone, stays = belief.values, gtsam.Values(), list(followers.keys)
+    if gone_clusters:
+        values = gtsam.Values(values)
+        stays = []
+        for key in followers.keys:
+            if gtsam.Symbol(key).index() in gone_clusters:
+                copy_value(values, key, gone)
+                values.erase(key)
+            else:
+                stays.append(key)
+        slopes = slopes[followers.columns(stays)]
     smaller = Belief(
         keys=kept,
         root=reduced[count:, count:],
         followers=tuple(stays),
-        slopes=slopes[remaining],
+        slopes=slopes,
         values=values,
         clusters={c: s for c, s in belief.clusters.items() if c not in gone_clusters},
         healthy=belief.healthy,
@@ -231,20 +239,21 @@ def belief_of(
     rows = [linearize(factor, values) for factor in split.factors]
     pieces = [np.eye(layout.size) / LOOSE, *(_spread(row, layout) for row in rows)]
     followers = tuple(key for key in dropped if gtsam.Symbol(key).index() in newer)
-    slopes = np.zeros((Layout(followers).size, layout.size))
+    follower_layout = Layout(followers)
+    slopes = np.zeros((follower_layout.size, layout.size))
     at_rest = split.conditional.optimize(layout.vector_values(np.zeros(layout.size)))
     for column in range(layout.size):
         unit = np.zeros(layout.size)
         unit[column] = 1.0
         moved = split.conditional.optimize(layout.vector_values(unit))
-        for key, place in _places(followers):
+        for key, place in follower_layout.places.items():
             slopes[place, column] = moved.at(key) - at_rest.at(key)
     inside, gone = gtsam.Values(), gtsam.Values()
     for key in values.keys():  # noqa: SIM118 (no mapping)
         copy_value(values, key, inside if gtsam.Symbol(key).index() in newer else gone)
     belief = Belief(
         keys=layout.keys,
-        root=np.linalg.qr(np.vstack(pieces), mode='r'),
+        root=_triangle(np.vstack(pieces)),
         followers=followers,
         slopes=slopes,
         values=inside,
@@ -266,11 +275,7 @@ def _spread(rows: Rows, layout: Layout) -> Array:
     return spread
 
 
-def _places(keys: Sequence[int]) -> list[tuple[int, NDArray[np.intp]]]:
-    layout = Layout(keys)
-    return [(key, layout.columns([key])) for key in layout.keys]
-
-
-def _parts(keys: Sequence[int], step: Array) -> list[tuple[int, Array]]:
-    """A stacked step, variable by variable."""
-    return [(key, step[columns]) for key, columns in _places(keys)]
+def _triangle(matrix: Array) -> Array:
+    """The upper triangular R of Q R = ``matrix`` (m, n), m >= n."""
+    triangle: Array = np.asarray(np.linalg.qr(matrix, mode='r'))
+    return triangle

@@ -4,9 +4,11 @@ Keys follow GTSAM's habit: ``x`` pose T_map_base, ``v`` velocity of base_link in
 ``b`` accelerometer and gyroscope bias, each with the number of its cluster.
 """
 
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any
+from functools import partial
+from typing import Any, TypeAlias
 
 import gtsam
 import numpy as np
@@ -49,12 +51,21 @@ def key_name(key: int) -> str:
     return f'{chr(symbol.chr())}{symbol.index()}'
 
 
+Describe: TypeAlias = Callable[[Any], dict[str, Any]]
+"""Reads plain numbers from a factor, whose own GTSAM class only its maker knows."""
+
+
+def _describe_nothing(factor: gtsam.NonlinearFactor) -> dict[str, Any]:
+    return {}
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Factor:
     """One factor of G(t).
 
-    ``stamps`` are the stamps (ns) of the measurements that it was made of, ``data`` the measured
-    values and their noise in plain numbers, for the export.
+    ``stamps`` are the stamps (ns) of the measurements that it was made of. ``describe`` reads
+    the measured values and their noise back from the GTSAM factor, so that millions of factors
+    need not keep them twice.
     """
 
     kind: FactorKind
@@ -62,7 +73,12 @@ class Factor:
     factor: gtsam.NonlinearFactor
     sensor: str | None = None
     stamps: tuple[int, ...] = ()
-    data: dict[str, Any] = field(default_factory=dict)
+    describe: Describe = _describe_nothing
+
+    @property
+    def data(self) -> dict[str, Any]:
+        """The measured values and their noise in plain numbers, for the export."""
+        return self.describe(self.factor)
 
 
 def pose_numbers(pose: gtsam.Pose3) -> list[float]:
@@ -92,8 +108,15 @@ def between_factor(
         factor=gtsam.BetweenFactorPose3(*keys, T_first_second, noise),
         sensor=sensor,
         stamps=stamps,
-        data={'T_first_second': pose_numbers(T_first_second), 'sigmas': sigmas.tolist()},
+        describe=_describe_between,
     )
+
+
+def _describe_between(factor: Any) -> dict[str, Any]:
+    return {
+        'T_first_second': pose_numbers(factor.measured()),
+        'sigmas': factor.noiseModel().sigmas().tolist(),
+    }
 
 
 def gnss_factor(
@@ -116,12 +139,18 @@ def gnss_factor(
         factor=gtsam.GPSFactorArm(key, position, lever_arm, noise),
         sensor=sensor,
         stamps=(stamp,),
-        data={
-            'position': position.tolist(),
-            'covariance': covariance.tolist(),
-            'lever_arm': lever_arm.tolist(),
-        },
+        describe=partial(_describe_gnss, covariance, lever_arm),
     )
+
+
+def _describe_gnss(
+    covariance: NDArray[np.float64], lever_arm: NDArray[np.float64], factor: Any
+) -> dict[str, Any]:
+    return {
+        'position': factor.measurementIn().tolist(),
+        'covariance': covariance.tolist(),
+        'lever_arm': lever_arm.tolist(),
+    }
 
 
 def imu_factor(
@@ -147,16 +176,21 @@ def imu_factor(
         factor=gtsam.CombinedImuFactor(*keys, preintegrated),
         sensor=sensor,
         stamps=(int(samples[0]), int(samples[-1])),
-        data={
-            'span_ns': list(span),
-            'samples': len(samples),
-            'delta_t': preintegrated.deltaTij(),
-            'delta_position': preintegrated.deltaPij().tolist(),
-            'delta_velocity': preintegrated.deltaVij().tolist(),
-            'delta_rotation_vector': gtsam.Rot3.Logmap(preintegrated.deltaRij()).tolist(),
-            'bias_hat': preintegrated.biasHatVector().tolist(),
-        },
+        describe=partial(_describe_imu, span, len(samples)),
     )
+
+
+def _describe_imu(span: tuple[int, int], samples: int, factor: Any) -> dict[str, Any]:
+    preintegrated = factor.preintegratedMeasurements()
+    return {
+        'span_ns': list(span),
+        'samples': samples,
+        'delta_t': preintegrated.deltaTij(),
+        'delta_position': preintegrated.deltaPij().tolist(),
+        'delta_velocity': preintegrated.deltaVij().tolist(),
+        'delta_rotation_vector': gtsam.Rot3.Logmap(preintegrated.deltaRij()).tolist(),
+        'bias_hat': preintegrated.biasHatVector().tolist(),
+    }
 
 
 def pose_prior(key: int, pose: gtsam.Pose3, sigmas: NDArray[np.float64], stamp: int) -> Factor:
@@ -167,8 +201,41 @@ def pose_prior(key: int, pose: gtsam.Pose3, sigmas: NDArray[np.float64], stamp: 
         keys=(key,),
         factor=gtsam.PriorFactorPose3(key, pose, noise),
         stamps=(stamp,),
-        data={'T_map_base': pose_numbers(pose), 'sigmas': sigmas.tolist()},
+        describe=_describe_pose_prior,
     )
+
+
+def _describe_pose_prior(factor: Any) -> dict[str, Any]:
+    return {
+        'T_map_base': pose_numbers(factor.prior()),
+        'sigmas': factor.noiseModel().sigmas().tolist(),
+    }
+
+
+def velocity_prior(key: int, velocity: NDArray[np.float64], sigma: float, stamp: int) -> Factor:
+    """Prior on a velocity (3,) in the map with standard deviation ``sigma``, m/s."""
+    noise = gtsam.noiseModel.Isotropic.Sigma(3, sigma)
+    return Factor(
+        kind=FactorKind.PRIOR_VELOCITY,
+        keys=(key,),
+        factor=gtsam.PriorFactorVector(key, velocity, noise),
+        stamps=(stamp,),
+        describe=_describe_velocity_prior,
+    )
+
+
+def _describe_velocity_prior(factor: Any) -> dict[str, Any]:
+    return {
+        'velocity': factor.prior().tolist(),
+        'sigma': float(factor.noiseModel().sigmas()[0]),
+    }
+
+
+def _describe_bias_prior(factor: Any) -> dict[str, Any]:
+    return {
+        'bias': factor.prior().vector().tolist(),
+        'sigmas': factor.noiseModel().sigmas().tolist(),
+    }
 
 
 def inertial_priors(
@@ -185,15 +252,7 @@ def inertial_priors(
     )
     held = (velocity_key(cluster), bias_key(cluster))
     return (
-        Factor(
-            kind=FactorKind.PRIOR_VELOCITY,
-            keys=(held[0],),
-            factor=gtsam.PriorFactorVector(
-                held[0], velocity, gtsam.noiseModel.Isotropic.Sigma(3, velocity_sigma)
-            ),
-            stamps=(stamp,),
-            data={'velocity': velocity.tolist(), 'sigma': velocity_sigma},
-        ),
+        velocity_prior(held[0], velocity, velocity_sigma, stamp),
         Factor(
             kind=FactorKind.PRIOR_BIAS,
             keys=(held[1],),
@@ -201,6 +260,6 @@ def inertial_priors(
                 held[1], bias, gtsam.noiseModel.Diagonal.Sigmas(bias_sigmas)
             ),
             stamps=(stamp,),
-            data={'bias': bias.vector().tolist(), 'sigmas': bias_sigmas.tolist()},
+            describe=_describe_bias_prior,
         ),
     )

@@ -36,6 +36,11 @@ class Rows:
     information: Array
     gradient: Array
 
+    def error(self, step: Array) -> float:
+        """‖matrix · step − rhs‖²."""
+        rest = self.matrix @ step - self.rhs
+        return float(rest @ rest)
+
 
 def linearize(factor: gtsam.NonlinearFactor, values: gtsam.Values) -> Rows:
     """Linearise a factor at ``values``; raises RuntimeError where a variable is missing."""
@@ -47,27 +52,31 @@ def linearize(factor: gtsam.NonlinearFactor, values: gtsam.Values) -> Rows:
 class Layout:
     """Where each variable's tangent step stands in a stacked vector."""
 
-    __slots__ = ('_columns', 'keys', 'size')
+    __slots__ = ('keys', 'places', 'size')
 
     def __init__(self, keys: Iterable[int]) -> None:
-        self.keys = tuple(dict.fromkeys(keys))
-        self._columns: dict[int, NDArray[np.intp]] = {}
+        self.places: dict[int, slice] = {}
         self.size = 0
-        for key in self.keys:
-            width = dimension(key)
-            self._columns[key] = np.arange(self.size, self.size + width)
-            self.size += width
+        for key in keys:
+            if key not in self.places:
+                width = dimension(key)
+                self.places[key] = slice(self.size, self.size + width)
+                self.size += width
+        self.keys = tuple(self.places)
 
     def columns(self, keys: Iterable[int]) -> NDArray[np.intp]:
         """Positions of the variables' steps, one after the other."""
-        found = [self._columns[key] for key in keys]
-        return np.concatenate(found) if found else np.zeros(0, dtype=np.intp)
+        found: list[int] = []
+        for key in keys:
+            place = self.places[key]
+            found.extend(range(place.start, place.stop))
+        return np.array(found, dtype=np.intp)
 
     def vector_values(self, step: Array) -> gtsam.VectorValues:
         """A stacked step (size,) as GTSAM's container."""
         vectors = gtsam.VectorValues()
-        for key, columns in self._columns.items():
-            vectors.insert(key, step[columns])
+        for key, place in self.places.items():
+            vectors.insert(key, step[place])
         return vectors
 
 
@@ -79,7 +88,7 @@ def solve_scaled(information: Array, right: Array) -> Array | None:
     Cholesky's accuracy depends on.
     """
     diagonal = np.diagonal(information)
-    if not np.all(diagonal > 0.0):  # also catches NaN
+    if not np.all((diagonal > 0.0) & np.isfinite(diagonal)):
         return None
     scale = 1.0 / np.sqrt(diagonal)
     rows = scale if right.ndim == 1 else scale[:, None]

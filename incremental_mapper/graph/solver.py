@@ -117,22 +117,6 @@ def _held(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> list[gtsam
     return priors
 
 
-def follow(elimination: Elimination, solved: gtsam.Values) -> gtsam.VectorValues:
-    """Tangent steps of the dropped variables once the kept ones have moved to ``solved``.
-
-    The kept variables are those of the elimination's factors; the steps are relative to
-    ``elimination.values``.
-    """
-    steps = gtsam.VectorValues()
-    kept = {key for factor in elimination.factors for key in factor.keys()}  # noqa: SIM118
-    for key in kept:
-        before, after = gtsam.Values(), gtsam.Values()
-        copy_value(elimination.values, key, before)
-        copy_value(solved, key, after)
-        steps.insert(key, before.localCoordinates(after).at(key))
-    return elimination.conditional.optimize(steps)
-
-
 def copy_value(
     source: gtsam.Values, key: int, target: gtsam.Values, name: int | None = None
 ) -> None:

@@ -1,6 +1,7 @@
 """Appending the winner: G(t) = G(t-1) ⊕ G_best (paper, Algorithm 1)."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import gtsam
 import numpy as np
@@ -43,9 +44,9 @@ def append_candidate(
 ) -> tuple[list[PlacedCluster], list[Factor]]:
     """Give the winner its final numbers, append it to ``state`` and solve.
 
-    ``extra`` are weak priors or bridges beside the candidate's own factors; ``consecutive``
-    makes the next window connect from the newest cluster whatever it has. Returns the new
-    clusters and factors.
+    ``initial`` holds at least the candidate's new variables. ``extra`` are weak priors or
+    bridges beside the candidate's own factors; ``consecutive`` makes the next
+    window connect from the newest cluster whatever it has. Returns the new clusters and factors.
     """
     config = inputs.config
     placed: list[PlacedCluster] = []
@@ -58,7 +59,7 @@ def append_candidate(
             final[make(local)] = make(number)
     made = [_renamed(factor, final) for factor in [*factors.factors(candidate), *extra]]
     values = gtsam.Values()
-    for key in initial.keys():  # noqa: SIM118 (no mapping)
+    for key in factors.new_keys(candidate):
         copy_value(initial, key, values, final.get(key, key))
     state.belief = extend(
         state.belief,
@@ -98,14 +99,7 @@ def _velocity_sigma(state: GraphState, cluster: int) -> float:
 
 def _renamed(factor: Factor, final: dict[int, int]) -> Factor:
     keys = tuple(final.get(key, key) for key in factor.keys)
-    return Factor(
-        kind=factor.kind,
-        keys=keys,
-        factor=factor.factor.rekey(list(keys)),
-        sensor=factor.sensor,
-        stamps=factor.stamps,
-        data=factor.data,
-    )
+    return replace(factor, keys=keys, factor=factor.factor.rekey(list(keys)))
 
 
 def _remember_measurements(

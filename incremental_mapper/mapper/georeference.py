@@ -18,6 +18,7 @@ from incremental_mapper.graph.factors import (
     FactorKind,
     gnss_factor,
     pose_prior,
+    velocity_prior,
 )
 from incremental_mapper.graph.solver import copy_value, make_graph, optimize
 from incremental_mapper.mapper.front_end import Prepared, PreparedFix
@@ -110,20 +111,15 @@ def _turned_prior(factor: Factor, T_enu_map: gtsam.Pose3, config: Config) -> Fac
     """
     if factor.kind is FactorKind.PRIOR_POSE:
         graph = config.graph
+        data = factor.data
         sigmas = np.maximum(
-            np.array(factor.data['sigmas']),
+            np.array(data['sigmas']),
             [0.0, 0.0, graph.prior_sigma_yaw] + [graph.weak_sigma_position] * 3,
         )
-        pose = T_enu_map.compose(gtsam.Pose3(pose_matrix(factor.data['T_map_base'])))
+        pose = T_enu_map.compose(gtsam.Pose3(pose_matrix(data['T_map_base'])))
         return pose_prior(factor.keys[0], pose, sigmas, factor.stamps[0])
     if factor.kind is FactorKind.PRIOR_VELOCITY:
-        velocity = T_enu_map.rotation().rotate(np.array(factor.data['velocity']))
-        noise = gtsam.noiseModel.Isotropic.Sigma(3, factor.data['sigma'])
-        return Factor(
-            kind=factor.kind,
-            keys=factor.keys,
-            factor=gtsam.PriorFactorVector(factor.keys[0], velocity, noise),
-            stamps=factor.stamps,
-            data={**factor.data, 'velocity': velocity.tolist()},
-        )
+        data = factor.data
+        velocity = T_enu_map.rotation().rotate(np.array(data['velocity']))
+        return velocity_prior(factor.keys[0], velocity, data['sigma'], factor.stamps[0])
     return factor

@@ -192,6 +192,20 @@ class WindowFactors:
             assert head is not None
             self._add_inertial(head, self._in.head_state.velocity, values)
 
+    def new_keys(self, candidate: Candidate) -> list[int]:
+        """Keys of the candidate's new variables."""
+        keys = []
+        for index, cluster in enumerate(candidate.clusters):
+            own = self.local_id(cluster)
+            keys.append(pose_key(own))
+            if index in candidate.inertial_clusters:
+                keys += [velocity_key(own), bias_key(own)]
+        if HEAD in candidate.inertial_clusters and not self._in.frontier.head_inertial:
+            head = self._in.frontier.head
+            assert head is not None
+            keys += [velocity_key(head), bias_key(head)]
+        return keys
+
     def _add_inertial(
         self, cluster: int, velocity: NDArray[np.float64], values: gtsam.Values
     ) -> None:

@@ -229,7 +229,10 @@ class Mapper:
             factors=factors,
             scenes=scenes,
             problem=Problem(
-                self._state.belief, gtsam.Values(), self.config.graph.max_iterations
+                self._state.belief,
+                gtsam.Values(),
+                self.config.graph.max_iterations,
+                watched=self._state.recent_poses(self.config.mom.submap_scans),
             ),
             # How far a merged measurement must be moved is unknown before the velocity is.
             may_merge=self._state.velocity_known or not self.config.graph.motion_compensation,

@@ -21,7 +21,6 @@ from incremental_mapper.criteria.criterion import (
 )
 from incremental_mapper.criteria.mom import direct_score, fast_score
 from incremental_mapper.graph.belief import Problem
-from incremental_mapper.graph.solver import copy_value
 from incremental_mapper.mapper.local_graph import WindowFactors
 from incremental_mapper.mapper.scenes import SceneBuilder
 
@@ -78,7 +77,8 @@ class Task:
     """What is needed to choose: the elements, their factors, and what they are judged on.
 
     ``problem`` is what G(t-1) says of its frontier. ``head`` is the stamp of the cluster to
-    connect from. Without ``may_merge`` candidates that merge are taken only where no other is connected.
+    connect from. Without ``may_merge`` candidates that merge are taken only where no other is
+    connected.
     """
 
     parts: tuple[Element, ...]
@@ -158,9 +158,7 @@ def choose(
     winner = initial = None
     if best is not None:
         winner, solution = proposals[best][0].candidate, proposals[best][1]
-        initial = task.factors.initial(winner)
-        if solution is not None:
-            initial = _restrict(solution, initial)
+        initial = task.factors.initial(winner) if solution is None else solution
     return Choice(
         winner=winner,
         initial=initial,
@@ -201,14 +199,6 @@ def _propose(
         poses = task.scenes.poses(candidate, solved.values, None) if plan.scene else None
         clock.lap('solve')
         yield Proposal(candidate, solved.error, poses), solved.values
-
-
-def _restrict(values: gtsam.Values, wanted: gtsam.Values) -> gtsam.Values:
-    """The values of the variables that ``wanted`` names."""
-    restricted = gtsam.Values()
-    for key in wanted.keys():  # noqa: SIM118 (no mapping)
-        copy_value(values, key, restricted)
-    return restricted
 
 
 def _verify(criterion: Mom, proposals: list[Proposal], clock: '_Clock') -> Verification | None:

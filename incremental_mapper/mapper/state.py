@@ -87,9 +87,9 @@ def _recent_scans() -> deque[tuple[PlacedScan, NDArray[np.float64]]]:
 class GraphState:
     """All that the mapper remembers.
 
-    ``belief`` is the newest part, ``values`` what has left it; ``recent`` are the newest scans with their points
-    (M, 3) for scoring. ``scan_offsets`` is T_cluster_scan of each LiDAR's
-    last scan. ``last_velocity`` and ``last_bias`` are the newest ones; ``velocity_known`` says
+    ``belief`` is the newest part, ``values`` what has left it; ``recent`` are the newest scans
+    with their points (M, 3) for scoring. ``scan_offsets`` is T_cluster_scan of each LiDAR's last
+    scan. ``last_velocity`` and ``last_bias`` are the newest ones; ``velocity_known`` says
     that the graph has pinned the velocity down since the start.
     ``alignment`` is how ENU sits in the map; ``georeferenced`` says that the map is ENU.
     ``factor_counts`` are the factors by kind, ``inertial`` the clusters with velocity and bias.
@@ -135,6 +135,10 @@ class GraphState:
     def bias(self, cluster: int) -> gtsam.imuBias.ConstantBias:
         """Newest estimate of a cluster's IMU bias."""
         return self.holder(bias_key(cluster)).atConstantBias(bias_key(cluster))
+
+    def recent_poses(self, scans: int) -> set[int]:
+        """Keys of the poses that hold the newest ``scans`` scans."""
+        return {pose_key(scan.cluster) for scan, _ in list(self.recent)[-scans:]}
 
     def in_lag(self, cluster: int) -> bool:
         """Whether a cluster's pose still changes."""
