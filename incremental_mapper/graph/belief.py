@@ -25,7 +25,7 @@ from incremental_mapper.graph.solver import (
     squared_error,
 )
 
-AGREEMENT = 1e-2
+AGREEMENT = 1e-4
 """A solve has converged where the linear error is the true one to this, relative to 1 + error."""
 
 
