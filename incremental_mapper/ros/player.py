@@ -33,6 +33,8 @@ _LOOK = 0.05
 """Seconds between two looks at the keyboard."""
 _SETTLED = 0.5
 """Seconds without a new subscription after which no more are expected."""
+_FOUND = 0.2
+"""Seconds that discovery has for the other way round."""
 _ROUND_GAP = 0.1
 """Seconds between two rounds of a loop; keeps a bag of one message from flooding."""
 _AHEAD = 50
@@ -159,10 +161,11 @@ class Player:
         before = 0
         while (now := time.monotonic()) - begin < self._options.wait:
             counts = [p.get_subscription_count() for p in self._publishers.values()]
-            if all(counts):
-                return True
             if sum(counts) != before:
                 before, changed = sum(counts), now
+            # A subscription that was found here has not always found the publisher yet.
+            if all(counts) and now - changed >= _FOUND:
+                return True
             if before and now - changed >= _SETTLED:
                 return True
             self._controls.wait(_LOOK)
