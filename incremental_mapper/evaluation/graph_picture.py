@@ -93,13 +93,15 @@ def draw_graph(path: Path, graph: Record, start_ns: int, end_ns: int, look: Look
     save(graph_figure(graph, start_ns, end_ns, look)[0], path)
 
 
-def graph_figure(graph: Record, start_ns: int, end_ns: int, look: Look) -> tuple['Figure', Shown]:
-    """The figure that ``draw_graph`` saves, and how much it shows."""
+def graph_figure(
+    graph: Record, start_ns: int, end_ns: int, look: Look, origin: int | None = None
+) -> tuple['Figure', Shown]:
+    """The figure that ``draw_graph`` saves, and how much it shows; see ``paint_graph``."""
     figure = new_figure(look)
     margins = (152, 117, 24, 72) if look.heading else (round(11 * look.text), 50, 10, 8)
     axes = figure.add_axes(box(look, *margins))
-    shown = paint_graph(axes, graph, start_ns, end_ns, look)
-    origin = min((item['stamp_ns'] for item in graph['clusters']), default=start_ns)
+    origin = first_stamp(graph, start_ns) if origin is None else origin
+    shown = paint_graph(axes, graph, start_ns, end_ns, look, origin)
     span = [f'{(stamp - origin) / NANOSECONDS:.2f} s' for stamp in (start_ns, end_ns)]
     facts = f'{shown.clusters} clusters, {shown.variables} variables, {shown.factors} factors'
     title(figure, 'Factor graph', f'{facts} between {span[0]} and {span[1]}', look)
@@ -108,12 +110,28 @@ def graph_figure(graph: Record, start_ns: int, end_ns: int, look: Look) -> tuple
     return figure, shown
 
 
-def paint_graph(axes: 'Axes', graph: Record, start_ns: int, end_ns: int, look: Look) -> Shown:
-    """Draw a piece of a graph into axes; raises ValueError where the span is empty."""
+def paint_graph(
+    axes: 'Axes',
+    graph: Record,
+    start_ns: int,
+    end_ns: int,
+    look: Look,
+    origin: int | None = None,
+    imu_stamps: Sequence[int] = (),
+) -> Shown:
+    """Draw a piece of a graph into axes, and a row of IMU samples where their stamps are given.
+
+    ``origin`` is the stamp (ns) of second 0, by default that of the first cluster, which differs
+    between graphs of one drive. Raises ValueError where the span is empty.
+    """
     if end_ns <= start_ns:
         raise ValueError(f'the span from {start_ns} to {end_ns} is empty')
     clusters = [item for item in graph['clusters'] if start_ns <= item['stamp_ns'] <= end_ns]
-    scene = _make_scene(axes, look, graph, clusters, start_ns, end_ns)
+    if origin is None:
+        origin = first_stamp(graph, start_ns)
+    scene = _make_scene(axes, look, graph, clusters, (start_ns, end_ns), origin)
+    if len(imu_stamps):
+        _draw_samples(scene, imu_stamps)
     _draw_clusters(scene, clusters)
     shown = {item['id'] for item in clusters}
     factors = _draw_factors(scene, graph, shown)
@@ -122,15 +140,20 @@ def paint_graph(axes: 'Axes', graph: Record, start_ns: int, end_ns: int, look: L
     return Shown(len(clusters), variables, factors, loose)
 
 
+def first_stamp(graph: Record, default: int) -> int:
+    """Stamp of the first cluster in nanoseconds."""
+    return min((int(item['stamp_ns']) for item in graph['clusters']), default=default)
+
+
 def _make_scene(
     axes: 'Axes',
     look: Look,
     graph: Record,
     clusters: Sequence[Record],
-    start_ns: int,
-    end_ns: int,
+    span: tuple[int, int],
+    origin: int,
 ) -> _Scene:
-    origin = min((item['stamp_ns'] for item in graph['clusters']), default=start_ns)
+    start_ns, end_ns = span
     # Sensors of the whole graph, so that pictures of different spans have the same rows.
     lidars, others = _sensors(graph)
     rows = {
@@ -178,6 +201,17 @@ def _spread(clusters: Sequence[Record], origin: int, gap: float) -> dict[int, fl
     wanted = np.array([(item['stamp_ns'] - origin) / NANOSECONDS for item in ordered]) - room
     placed = isotonic_regression(wanted).x + room if len(ordered) > 0 else wanted
     return {item['id']: float(x) for item, x in zip(ordered, placed, strict=True)}
+
+
+def _draw_samples(scene: _Scene, stamps: Sequence[int]) -> None:
+    """A row of ticks below the other sensors."""
+    low = min(scene.sensors.values(), default=FIRST_SENSOR_ROW)
+    scene.sensors['imu'] = low - SENSOR_ROW_STEP
+    scene.colours['imu'] = scene.theme.orange
+    scene.axes.vlines(
+        [scene.seconds(stamp) for stamp in stamps], scene.sensors['imu'] - 0.16,
+        scene.sensors['imu'] + 0.16, color=scene.theme.orange, linewidth=2.4, zorder=4,
+    )  # fmt: skip
 
 
 def _draw_clusters(scene: _Scene, clusters: Sequence[Record]) -> None:

@@ -260,7 +260,7 @@ def _fill_stretched(axes: 'Axes', shown: NDArray[np.float64]) -> int:
     width, height = axes_pixels(axes)
     extent = np.maximum(high - low, [SMALLEST, 2.0]) * [1.02, 1.1]
     room = height / width * extent[0] / extent[1]
-    stretch = max((times for times in (1, 2, 3, 4, 5, 10, 20, 50) if times <= room), default=1)
+    stretch = max((times for times in (1, 2, 3, 5, 10, 20, 50) if times <= room), default=1)
     scale = max(extent[0] / width, extent[1] / height * stretch)
     axes.set_xlim(*((low[0] + high[0]) / 2 + np.array([-0.5, 0.5]) * scale * width))
     axes.set_ylim(*((low[1] + high[1]) / 2 + np.array([-0.5, 0.5]) * scale * height / stretch))

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from incremental_mapper.evaluation.figure import Look, Theme, box, new_figure, plain
@@ -147,8 +148,6 @@ def _errors(runs: Mapping[str, FinishedRun], truth: Trajectory) -> dict[str, Ser
 
 
 def _tidy(axes: 'Axes', title: str, look: Look, last: bool) -> None:
-    from matplotlib.ticker import MaxNLocator
-
     axes.set_title(title, loc='left', fontsize=look.text, color=look.theme.ink, pad=4)
     if last:
         axes.set_xlabel('seconds since the first cluster')

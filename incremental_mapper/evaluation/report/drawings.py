@@ -14,6 +14,8 @@ from incremental_mapper.trajectory import NANOSECONDS
 
 GRAPH_SECONDS = 0.8
 """Length of the stretch of graph that fits half of the page's width."""
+EDGE = 50_000_000
+"""Nanoseconds that a stretch may reach beyond the first and the last cluster."""
 TALL = Look(theme=PAGE, width=620, height=430, text=9.5, heading=False)
 FLAT = Look(theme=PAGE, width=620, height=330, text=9.5, heading=False)
 
@@ -85,11 +87,12 @@ def graph_pictures(sequence: Sequence, number: int) -> Iterator[Picture]:
     if lead is None:
         return
     start, end = stretch(sequence)
+    origin = sequence.runs[lead].first_stamp
     for name in dict.fromkeys([BASE, lead]):
         if name not in sequence.runs:
             continue
         run = sequence.runs[name]
-        figure, shown = graph_figure(run.graph, start, end, TALL)
+        figure, shown = graph_figure(run.graph, start, end, TALL, origin)
         loose = f'; {shown.loose} of them not connected' if shown.loose else ''
         caption = (
             f'{name}: {shown.clusters} clusters, {shown.variables} variables{loose}, '
@@ -110,7 +113,8 @@ def stretch(sequence: Sequence) -> tuple[int, int]:
         stamps = [item['stamp_ns'] for item in graph['variables'] if item['key'] in loose]
         middle, half = (start + end) // 2, (end - start) // 2
         centre = min(stamps, key=lambda stamp: abs(stamp - middle), default=middle)
-        start, end = centre - half, centre + half
+        start = max(min(centre - half, run.last_stamp + EDGE - 2 * half), run.first_stamp - EDGE)
+        end = start + 2 * half
     return start, end
 
 

@@ -1,4 +1,7 @@
-"""Putting the page together."""
+"""Putting the page together.
+
+Importing this needs jinja2 and matplotlib, which come with the extra ``report``.
+"""
 
 from collections.abc import Mapping
 from collections.abc import Sequence as Ordered
@@ -7,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from jinja2 import Environment, StrictUndefined
 
 from incremental_mapper.errors import OutputError
 from incremental_mapper.evaluation.figure import DARK, LIGHT, PAGE, css_colour, css_variables
@@ -38,14 +42,8 @@ def write_report(out_dir: Path) -> Path:
     """Write ``report.html`` into an evaluation's folder; returns its path.
 
     Raises InputError where the folder holds no evaluation, OutputError where the page cannot be
-    written or the extra ``report`` is missing.
+    written.
     """
-    try:
-        from jinja2 import Environment, StrictUndefined
-    except ImportError as error:
-        raise OutputError(
-            "the report needs jinja2; install it with: pip install 'incremental_mapper[report]'"
-        ) from error
     contents = read_contents(out_dir)
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True

@@ -32,9 +32,9 @@ def what_ran(contents: Contents) -> str:
         f'{_count(len(contents.strategies), "strategy", "strategies")}: '
         f'{", ".join(contents.strategies)}.'
     )
-    failed = failures(contents)
+    failed = sum(len(sequence.jobs) - len(sequence.runs) for sequence in contents.sequences)
     if failed:
-        text += f' {_count(len(failed), "run")} failed.'
+        text += f' {_count(failed, "run")} failed.'
     return text
 
 
@@ -100,13 +100,14 @@ def verdict(contents: Contents, lead: str) -> list[str]:
 
 
 def failures(contents: Contents) -> list[tuple[str, str, str]]:
-    """Sequence, strategy and reason of every run that is not done."""
-    return [
-        (sequence.name, strategy, str(job['error'] or job['status']))
-        for sequence in contents.sequences
-        for strategy, job in sequence.jobs.items()
-        if strategy not in sequence.runs
-    ]
+    """Sequence, strategies and reason of the runs that are not done."""
+    found: dict[tuple[str, str], list[str]] = {}
+    for sequence in contents.sequences:
+        for strategy, job in sequence.jobs.items():
+            if strategy not in sequence.runs:
+                reason = str(job['error'] or job['status'])
+                found.setdefault((sequence.name, reason), []).append(strategy)
+    return [(name, ', '.join(names), reason) for (name, reason), names in found.items()]
 
 
 def _errors(own: Metrics, base: Metrics) -> list[str]:
