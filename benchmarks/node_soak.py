@@ -4,10 +4,11 @@
                                    [--config config/kaist.yaml] [--samples CSV]
 
 Simulates a drive of that length into WORK_DIR once (600 s: about 3 GB, some minutes), and plays
-it into a node at ``--rate`` times real time. The node's resident memory is sampled all along,
-together with the sizes that the node reports in /diagnostics: points of the stored scans, voxels
-of the map that is shown, and the estimate of what clusters, factors and rows take. Prints the
-slope of a line fitted to the second half of the drive, in MB a minute of driving.
+it into a node at ``--rate`` times real time. The node's resident memory is sampled all along.
+What the map itself takes is subtracted: points of the stored scans and voxels of the map that is
+shown, which the node reports in /diagnostics; and clusters, factors and rows, which it counts in
+~/graph_stats and whose sizes are measured in this process beforehand (graph_memory.py). Prints the
+slopes of lines fitted to the second half of the drive, in MB a minute of driving.
 """
 
 import argparse
@@ -18,11 +19,14 @@ from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 
 import numpy as np
+from graph_memory import graph_bytes, piece_sizes, resident
 from node_runs import PATIENCE, Drive, make_drive, node_run
 
 from incremental_mapper.errors import InputError, MapperError
 
 MB = 1e6
+FEW = 30
+"""Scans and fixes that may wait without taking much memory."""
 SAMPLE = 0.5
 """Seconds between two samples."""
 
@@ -36,8 +40,7 @@ class Sample:
     rss_mb: float
     scans_mb: float
     voxels_mb: float
-    factors: int
-    clusters: int
+    graph_mb: float
     queue_core: int
 
 
@@ -65,6 +68,7 @@ def main() -> int:
 def soak(drive: Drive, rate: float, log: Path) -> list[Sample]:
     """Play the drive and print the fits; returns the samples."""
     samples: list[Sample] = []
+    sizes = piece_sizes()
     begin = time.monotonic()
     with node_run(drive, log, {}) as run:
 
@@ -79,8 +83,7 @@ def soak(drive: Drive, rate: float, log: Path) -> list[Sample]:
                         rss_mb=resident(run.pid) / MB,
                         scans_mb=parts['worker']['scans_mb'],
                         voxels_mb=parts['worker']['voxels_mb'],
-                        factors=parts['map']['factors'],
-                        clusters=parts['map']['clusters'],
+                        graph_mb=graph_bytes(sizes, run.client.stats[-1]) / MB,
                         queue_core=parts['worker']['queue_core'],
                     )
                 )
@@ -99,18 +102,9 @@ def soak(drive: Drive, rate: float, log: Path) -> list[Sample]:
             f'{worker["merged_windows"]} merged, at most {fullest} scans and fixes waited\n'
         )
     print_fits(samples)
+    if fullest > FEW:
+        print('\nThe node fell behind: what waited, which is bounded, is in the last row too.')
     return samples
-
-
-def resident(pid: int) -> int:
-    """Bytes of memory that a process holds; raises InputError where it has ended."""
-    try:
-        for line in Path(f'/proc/{pid}/status').read_text().splitlines():
-            if line.startswith('VmRSS:'):
-                return 1024 * int(line.split()[1])
-    except OSError as error:
-        raise InputError(f'the node has ended ({error.strerror})') from error
-    raise InputError('the node has ended')
 
 
 def print_fits(samples: list[Sample]) -> None:
@@ -122,22 +116,17 @@ def print_fits(samples: list[Sample]) -> None:
     minutes = np.array([sample.drive_s for sample in late]) / 60.0
     total = np.array([sample.rss_mb for sample in late])
     stored = np.array([sample.scans_mb + sample.voxels_mb for sample in late])
-    factors = np.array([sample.factors for sample in late])
+    graph = np.array([sample.graph_mb for sample in late])
     print('| second half of the drive | first | last | MB a minute of driving |')
     print('|---|---|---|---|')
     for name, values in (
         ('resident memory', total),
-        ('scans and voxels, as the node counts them', stored),
-        ('memory without them', total - stored),
+        ('points of scans, voxels of the map', stored),
+        ('clusters, factors, rows', graph),
+        ('resident memory without all of these', total - stored - graph),
     ):
         slope, _ = np.polyfit(minutes, values, 1)
         print(f'| {name} | {values[0]:.0f} MB | {values[-1]:.0f} MB | {slope:+.2f} |')
-    more = factors[-1] - factors[0]
-    grown = np.polyfit(factors, total - stored, 1)[0] if more else 0.0
-    print(
-        f'\nThe graph grew by {more} factors meanwhile: {1e3 * grown:+.1f} kB a factor of memory '
-        'that is neither scans nor voxels.'
-    )
 
 
 def write_samples(path: Path, samples: list[Sample]) -> None:
