@@ -203,7 +203,11 @@ class SelectionSettings(Section):
     strategy: str = Strategy.MOM.value
     """mom, base, min_time_shift, min_solver_error, or a name that was registered."""
     max_candidates: int = Field(default=1000, ge=1, le=1_000_000)
-    """More candidates than this are not enumerated: the least shifted ones are tried first."""
+    """A window with more candidates than this is searched instead of enumerated."""
+    beam_width: int = Field(default=8, ge=1, le=1000)
+    """Prefixes of every length that the search follows (mom, min_solver_error)."""
+    time_budget: float = Field(default=0.5, gt=0.0, le=600.0)
+    """Seconds after which the search of one window follows fewer prefixes."""
     direct: bool = False
     """Search the neighbourhoods again at every candidate's poses (slow, for verification)."""
     verify: bool = False

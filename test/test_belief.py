@@ -66,7 +66,8 @@ def stepped(count, lag, keep=(), seed=0):
     for i, factors, initial in drive(count, seed):
         everything.extend(factors)
         start.insert(initial)
-        belief = extend(belief, factors, initial, {i: i * SECOND // 5}, 20)
+        belief, cost = extend(belief, factors, initial, {i: i * SECOND // 5}, 20)
+        assert cost >= 0.0
         assert belief.healthy
         belief, gone = shrink(belief, {i, *keep}, i * SECOND // 5 - lag)
         for key in gone.keys():  # noqa: SIM118 (no mapping)
@@ -195,12 +196,12 @@ def test_measurement_that_is_not_finite_keeps_the_initial_values_and_says_so():
     _, factors, initial = next(iter(drive(1)))
     nowhere = gtsam.Pose3(gtsam.Rot3(), np.full(3, np.nan))
     bad = pose_prior(pose_key(0), nowhere, pose_sigmas(1, 1), 0)
-    belief = extend(Belief(), [*factors, bad.factor], initial, {0: 0}, 20)
-    assert not belief.healthy
+    belief, cost = extend(Belief(), [*factors, bad.factor], initial, {0: 0}, 20)
+    assert not belief.healthy and cost == np.inf
     assert difference(belief.values, initial, pose_key(0)) == 0.0
     # What was finite still holds.
     assert belief.covariance(pose_key(0)) is not None
-    again = extend(belief, [odometry(0, 1, STEP)], next_pose(1), {1: 1}, 20)
+    again, _ = extend(belief, [odometry(0, 1, STEP)], next_pose(1), {1: 1}, 20)
     assert again.healthy
 
 
@@ -226,11 +227,12 @@ def test_undetermined_variable_stays_where_it_is_and_disturbs_nobody():
     initial.insert(pose_key(5), belief.values.atPose3(pose_key(4)).compose(STEP))
     initial.insert(velocity_key(5), np.array([1.0, 2.0, 3.0]))
     factors = [odometry(4, 5, STEP)]
-    grown = extend(belief, factors, initial, {5: SECOND}, 10)
+    grown, _ = extend(belief, factors, initial, {5: SECOND}, 10)
     assert grown.healthy
     assert grown.values.atVector(velocity_key(5)) == pytest.approx([1.0, 2.0, 3.0])
     smaller, _ = shrink(grown, {5}, 0)
-    alone, _ = shrink(extend(belief, factors, without_velocity(initial), {5: SECOND}, 10), {5}, 0)
+    alone, _ = extend(belief, factors, without_velocity(initial), {5: SECOND}, 10)
+    alone, _ = shrink(alone, {5}, 0)
     assert smaller.covariance(pose_key(5)) == pytest.approx(alone.covariance(pose_key(5)), rel=1e-6)
     assert np.diag(smaller.covariance(velocity_key(5))) == pytest.approx([1e6] * 3, rel=1e-3)
 

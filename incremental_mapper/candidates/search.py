@@ -24,9 +24,12 @@ _Entry: TypeAlias = tuple[
 
 
 def by_time_shift(
-    parts: Sequence[Element], head: int | None, imu: ImuStamps
+    parts: Sequence[Element], head: int | None, imu: ImuStamps, may_merge: bool = True
 ) -> Iterator[Candidate]:
-    """Distinct candidates of a window in ascending order of total time shift."""
+    """Distinct candidates of a window in ascending order of total time shift.
+
+    Without ``may_merge`` measurements of different stamps never share a cluster.
+    """
     length = len(parts)
     if length == 0:
         return
@@ -53,7 +56,7 @@ def by_time_shift(
         # One more cluster: where it ends, itself, whether the chain visits it, and the cost.
         for last in range(position, length):
             merged = cluster(position, last)
-            if merged is None:
+            if merged is None or (last > position and not may_merge):
                 return  # a longer cluster holds the same two scans
             link = shift(node, merged.stamp)
             yield last + 1, merged, True, merged.time_range + link

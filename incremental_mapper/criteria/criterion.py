@@ -49,13 +49,15 @@ class StrategyPlan:
     """How a strategy works: what it needs of each candidate, and its criterion.
 
     ``solve`` asks for solved candidates and ``scene`` for a scene to judge them on;
-    ``only_base`` takes the conventional candidate, connected or not.
+    ``only_base`` takes the conventional candidate, connected or not. ``by_time_shift`` says that
+    the criterion is the time shift, whose optimum is found without enumerating.
     """
 
     make: Callable[[Scene | None, MomSettings, bool], Criterion]
     solve: bool = True
     scene: bool = False
     only_base: bool = False
+    by_time_shift: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,7 +113,9 @@ def _make_mom(scene: Scene | None, settings: MomSettings, direct: bool) -> Crite
 _PLANS: dict[str, StrategyPlan] = {
     Strategy.MOM: StrategyPlan(make=_make_mom, scene=True),
     Strategy.BASE: StrategyPlan(make=lambda *_: TimeShift(), solve=False, only_base=True),
-    Strategy.MIN_TIME_SHIFT: StrategyPlan(make=lambda *_: TimeShift(), solve=False),
+    Strategy.MIN_TIME_SHIFT: StrategyPlan(
+        make=lambda *_: TimeShift(), solve=False, by_time_shift=True
+    ),
     Strategy.MIN_SOLVER_ERROR: StrategyPlan(make=lambda *_: SolverError()),
 }
 

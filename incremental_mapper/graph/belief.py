@@ -62,11 +62,12 @@ class Solved:
     """Optimised variables.
 
     ``values`` has the new estimates, those of watched followers included. ``error`` is
-    Σ‖h(x)−z‖²_Σ of the factors.
+    Σ‖h(x)−z‖²_Σ of the factors, ``cost`` the same with what the belief says against the step.
     """
 
     values: gtsam.Values
     error: float
+    cost: float
 
 
 class Problem:
@@ -135,7 +136,7 @@ class Problem:
                 break
             rows = [linearize(factor, values) for factor in factors]
         followed = self._followers.vector_values(self._slopes @ total[:width])
-        return Solved(values.retract(followed), error)
+        return Solved(values.retract(followed), error, error + float(total @ prior @ total))
 
     def _shared(self, factor: gtsam.NonlinearFactor) -> Rows:
         rows = self._rows.get(factor)
@@ -150,8 +151,11 @@ def extend(
     initial: gtsam.Values,
     clusters: Mapping[int, int],
     max_iterations: int,
-) -> Belief:
-    """Append factors and variables, and solve; all new variables join the frontier."""
+) -> tuple[Belief, float]:
+    """Append factors and variables, and solve; all new variables join the frontier.
+
+    The cost of the solution comes back beside the larger belief, infinite where there is none.
+    """
     problem = Problem(belief, initial, max_iterations)
     solved = problem.solve(factors)
     values = problem.values if solved is None else solved.values
@@ -163,7 +167,7 @@ def extend(
     pieces.append(np.hstack([np.zeros((new, known)), np.eye(new) / LOOSE]))
     pieces += [_spread(row, layout) for row in rows if np.isfinite(row.matrix).all()]
     slopes = np.hstack([belief.slopes, np.zeros((len(belief.slopes), new))])
-    return Belief(
+    larger = Belief(
         keys=layout.keys,
         root=np.vstack(pieces),
         followers=belief.followers,
@@ -172,6 +176,7 @@ def extend(
         clusters={**belief.clusters, **clusters},
         healthy=solved is not None,
     )
+    return larger, np.inf if solved is None else solved.cost
 
 
 def shrink(belief: Belief, keep: Collection[int], oldest: int) -> tuple[Belief, gtsam.Values]:

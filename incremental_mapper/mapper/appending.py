@@ -61,7 +61,7 @@ def append_candidate(
     values = gtsam.Values()
     for key in factors.new_keys(candidate):
         copy_value(initial, key, values, final.get(key, key))
-    state.belief = extend(
+    state.belief, _ = extend(
         state.belief,
         [factor.factor for factor in made],
         values,

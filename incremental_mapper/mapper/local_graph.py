@@ -11,6 +11,7 @@ from incremental_mapper.candidates.clusters import (
     HEAD,
     Candidate,
     Cluster,
+    Connection,
     CoreMeasurement,
 )
 from incremental_mapper.config import Config
@@ -123,12 +124,15 @@ class WindowFactors:
         max_gap = round(inputs.config.preintegration.max_gap * NANOSECONDS)
         return propagate(inputs.head_state, stamp, inputs.series, inputs.parameters, max_gap)
 
-    def factors(self, candidate: Candidate) -> list[Factor]:
-        """All factors of a candidate except priors that hold loose components."""
+    def factors(self, candidate: Candidate, since: int = 0) -> list[Factor]:
+        """All factors of a candidate except priors that hold loose components.
+
+        With ``since`` only those that its clusters from that index on bring along.
+        """
         homes = self.home(candidate)
         by_home = {self.local_id(cluster): cluster for cluster in candidate.clusters}
         made: list[Factor] = []
-        for cluster in candidate.clusters:
+        for cluster in candidate.clusters[since:]:
             for core in cluster.members:
                 item = self._in.prepared[core]
                 if isinstance(item, PreparedFix):
@@ -136,13 +140,31 @@ class WindowFactors:
                 elif item.previous is not None and (core.sensor, item.previous) in homes:
                     start = homes[core.sensor, item.previous]
                     made.extend(self._odometry(item, start, by_home.get(start), cluster))
-        for link in candidate.connections:
+        links = [link for link in candidate.connections if link.end >= since]
+        for link in links:
             made.extend(self._imu(candidate, link.start, link.end))
-        made.extend(self._inertial_priors(candidate))
-        if self._in.frontier.newest is None:
+        made.extend(self._inertial_priors(candidate, links))
+        if self._in.frontier.newest is None and since == 0:
             first = candidate.clusters[0]
             made.append(self._first_prior(first))
         return made
+
+    def predicted(self, stamp: int) -> gtsam.Pose3:
+        """Predicted T_map_base at the stamp of a core measurement."""
+        return self._in.states[stamp].pose
+
+    def has_odometry(self, core: CoreMeasurement) -> bool:
+        """Whether a scan is linked to an earlier one."""
+        item = self._in.prepared[core]
+        return isinstance(item, PreparedScan) and item.previous is not None
+
+    def continued_scans(self) -> set[tuple[str, int]]:
+        """Sensor and stamp of the scans that a scan of this window is linked to."""
+        return {
+            (core.sensor, item.previous)
+            for core, item in self._in.prepared.items()
+            if isinstance(item, PreparedScan) and item.previous is not None
+        }
 
     def weak_prior(self, cluster: Cluster) -> Factor:
         """Holds a component that nothing else connects, at its predicted pose."""
@@ -286,10 +308,12 @@ class WindowFactors:
             )
         return self._cache[key]
 
-    def _inertial_priors(self, candidate: Candidate) -> Sequence[Factor]:
-        """Priors where an inertial chain starts that does not continue an older one."""
+    def _inertial_priors(
+        self, candidate: Candidate, links: Sequence[Connection]
+    ) -> Sequence[Factor]:
+        """Priors where one of ``links`` starts a chain that does not continue an older one."""
         ends = {link.end for link in candidate.connections}
-        starts = sorted({link.start for link in candidate.connections} - ends)
+        starts = sorted({link.start for link in links} - ends)
         graph = self._in.config.graph
         made: list[Factor] = []
         for start in starts:

@@ -16,7 +16,6 @@ from incremental_mapper.candidates.spans import ImuStamps
 from incremental_mapper.config import Config
 from incremental_mapper.criteria.criterion import strategy_plan
 from incremental_mapper.frontend.inertial import EMPTY_SERIES, preintegration_parameters
-from incremental_mapper.graph.belief import Problem
 from incremental_mapper.graph.factors import Factor, pose_key
 from incremental_mapper.graph.solver import (
     copy_value,
@@ -32,9 +31,10 @@ from incremental_mapper.mapper.inputs import window_inputs
 from incremental_mapper.mapper.local_graph import WindowFactors, WindowInputs
 from incremental_mapper.mapper.result import MapResult, NewestState, WindowResult
 from incremental_mapper.mapper.scenes import SceneBuilder
-from incremental_mapper.mapper.selection import Choice, Task, choose
+from incremental_mapper.mapper.selection import Choice, choose
 from incremental_mapper.mapper.state import BaseCount, GraphState, PlacedCluster
 from incremental_mapper.mapper.statistics import Totals, run_stats, window_row
+from incremental_mapper.mapper.task import Task
 from incremental_mapper.measurements import ImuSample, Measurement
 from incremental_mapper.trajectory import NANOSECONDS, from_matrices
 from incremental_mapper.windows.buffer import Window, WindowBuffer, joined
@@ -225,17 +225,15 @@ class Mapper:
         task = Task(
             parts=parts,
             head=None if frontier.head is None else frontier.head_stamp,
+            head_cluster=frontier.head,
             imu=ImuStamps(self._series.stamps, self._imu_gap),
             factors=factors,
             scenes=scenes,
-            problem=Problem(
-                self._state.belief,
-                gtsam.Values(),
-                self.config.graph.max_iterations,
-                watched=self._state.recent_poses(self.config.mom.submap_scans),
-            ),
+            belief=self._state.belief,
+            watched=frozenset(self._state.recent_poses(self.config.mom.submap_scans)),
             # How far a merged measurement must be moved is unknown before the velocity is.
             may_merge=self._state.velocity_known or not self.config.graph.motion_compensation,
+            max_iterations=self.config.graph.max_iterations,
         )
         frame.seconds['candidates'] = time.perf_counter() - started
         choice = choose(

@@ -1,7 +1,7 @@
 """One window's choice: enumerate, filter, solve, score (paper, Algorithm 1, steps 3 to 5)."""
 
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import islice
 
@@ -10,9 +10,7 @@ import numpy as np
 
 from incremental_mapper.candidates.clusters import Candidate, Cluster
 from incremental_mapper.candidates.enumeration import base_candidate, candidates, upper_bound
-from incremental_mapper.candidates.partitions import Element
 from incremental_mapper.candidates.search import by_time_shift
-from incremental_mapper.candidates.spans import ImuStamps
 from incremental_mapper.config import MomSettings, SelectionSettings
 from incremental_mapper.criteria.criterion import (
     Mom,
@@ -21,8 +19,8 @@ from incremental_mapper.criteria.criterion import (
 )
 from incremental_mapper.criteria.mom import direct_score, fast_score
 from incremental_mapper.graph.belief import Problem
-from incremental_mapper.mapper.local_graph import WindowFactors
-from incremental_mapper.mapper.scenes import SceneBuilder
+from incremental_mapper.mapper.beam import beam_search
+from incremental_mapper.mapper.task import Task
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,24 +70,6 @@ class Choice:
     tried: tuple[Tried, ...] = ()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Task:
-    """What is needed to choose: the elements, their factors, and what they are judged on.
-
-    ``problem`` is what G(t-1) says of its frontier. ``head`` is the stamp of the cluster to
-    connect from. Without ``may_merge`` candidates that merge are taken only where no other is
-    connected.
-    """
-
-    parts: tuple[Element, ...]
-    head: int | None
-    imu: ImuStamps
-    factors: WindowFactors
-    scenes: SceneBuilder
-    problem: Problem
-    may_merge: bool
-
-
 def choose(
     task: Task,
     plan: StrategyPlan,
@@ -119,14 +99,7 @@ def choose(
             seconds=clock.seconds,
             tried=(Tried(base, not loose),),
         )
-    bound = upper_bound(len(task.parts), task.head is not None)
-    cut = bound > selection.max_candidates
-    pool: Iterable[Candidate] = (
-        islice(by_time_shift(task.parts, task.head, task.imu), selection.max_candidates)
-        if cut
-        else candidates(task.parts, task.head, task.imu)
-    )
-    enumerated = list(pool)
+    enumerated, cut = _pool(task, plan, selection, mom, budget)
     connected = [item for item in enumerated if not task.factors.components(item)]
     reachable = set(map(id, connected))
     if not task.may_merge:
@@ -175,6 +148,53 @@ def choose(
     )
 
 
+def _pool(
+    task: Task,
+    plan: StrategyPlan,
+    selection: SelectionSettings,
+    mom: MomSettings,
+    budget: int | None,
+) -> tuple[list[Candidate], bool]:
+    """The candidates to choose from, and whether there may be better ones."""
+    bound = upper_bound(len(task.parts), task.head is not None)
+    if bound <= selection.max_candidates:
+        return list(candidates(task.parts, task.head, task.imu)), False
+    if plan.by_time_shift:
+        least = _least_shifted(task, selection.max_candidates)
+        return least, not least or bool(task.factors.components(least[-1]))
+    found: list[Candidate] = []
+    if plan.solve:
+        width = selection.beam_width if budget is None else min(selection.beam_width, budget)
+        # The conventional graph takes part as well, first as in an enumeration: what is found is
+        # never worse than it, and the map is judged at the same points.
+        base = base_candidate(task.parts, task.head, task.imu)
+        searched = beam_search(task, plan, mom, width, selection.time_budget)
+        found = [base, *(item for item in searched if item != base)]
+    if not any(not task.factors.components(item) for item in found):
+        found += islice(by_time_shift(task.parts, task.head, task.imu), selection.max_candidates)
+    return found, True
+
+
+def _least_shifted(task: Task, limit: int) -> list[Candidate]:
+    """Candidates by ascending time shift, up to the last of the least shifted connected ones.
+
+    Exact: the search yields them in that order. At most ``limit`` are looked at.
+    """
+    for may_merge in (False, True)[int(task.may_merge) :]:
+        looked: list[Candidate] = []
+        winners: list[Candidate] = []
+        search = by_time_shift(task.parts, task.head, task.imu, may_merge)
+        for candidate in islice(search, limit):
+            if winners and candidate.time_shift > winners[0].time_shift:
+                break
+            looked.append(candidate)
+            if not task.factors.components(candidate):
+                winners.append(candidate)
+        if winners:
+            return [item for item in looked if item not in winners] + winners
+    return looked
+
+
 def _best(scores: list[float], pool: list[Candidate]) -> int | None:
     finite = [i for i, score in enumerate(scores) if np.isfinite(score)]
     return min(finite, key=lambda i: (scores[i], pool[i].vertices, i), default=None)
@@ -187,13 +207,14 @@ def _propose(
     clock: '_Clock',
 ) -> Iterator[tuple[Proposal, gtsam.Values | None]]:
     """Solve the connected candidates; what cannot be solved is left out."""
+    problem = Problem(task.belief, gtsam.Values(), task.max_iterations, task.watched)
     for candidate in connected:
         if not plan.solve:
             yield Proposal(candidate), None
             continue
         factors = [factor.factor for factor in task.factors.factors(candidate)]
-        task.factors.add_initial(candidate, task.problem.values)
-        solved = task.problem.solve(factors)
+        task.factors.add_initial(candidate, problem.values)
+        solved = problem.solve(factors)
         if solved is None:
             continue
         poses = task.scenes.poses(candidate, solved.values, None) if plan.scene else None

@@ -1,0 +1,31 @@
+"""What is needed to choose a window's candidate."""
+
+from dataclasses import dataclass
+
+from incremental_mapper.candidates.partitions import Element
+from incremental_mapper.candidates.spans import ImuStamps
+from incremental_mapper.graph.belief import Belief
+from incremental_mapper.mapper.local_graph import WindowFactors
+from incremental_mapper.mapper.scenes import SceneBuilder
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Task:
+    """A window's elements, their factors, and what they are judged on.
+
+    ``belief`` is what G(t-1) says of its frontier, and ``watched`` are the keys of the earlier
+    poses that candidates are judged by. ``head`` is the stamp and ``head_cluster`` the number of
+    the cluster to connect from. Without ``may_merge`` candidates that merge are taken only where
+    no other is connected.
+    """
+
+    parts: tuple[Element, ...]
+    head: int | None
+    head_cluster: int | None
+    imu: ImuStamps
+    factors: WindowFactors
+    scenes: SceneBuilder
+    belief: Belief
+    watched: frozenset[int]
+    may_merge: bool
+    max_iterations: int
