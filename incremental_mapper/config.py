@@ -235,8 +235,20 @@ class MomSettings(Section):
     """Scans of G(t-1) that the new scans are compared with."""
 
 
+class MapStore(StrEnum):
+    """Where the points of a drive's scans are kept."""
+
+    MEMORY = 'memory'
+    DISK = 'disk'
+
+
 class MapSettings(Section):
     """The accumulated map."""
+
+    store: MapStore = MapStore.MEMORY
+    """disk keeps the scans in a temporary file: about 5 GB an hour with two VLP-16."""
+    store_folder: str = ''
+    """Folder of that file; empty takes the system's folder for temporary files."""
 
     voxel_size: float = Field(default=0.2, gt=0.0, le=10.0)
     """Voxel size of the map in metres."""

@@ -33,7 +33,7 @@ class Run:
     """A mapped input: the result, the map's points (N, 3), and all keys of stats.json."""
 
     result: MapResult
-    points: NDArray[np.float64]
+    points: NDArray[np.float32]
     errors: TrajectoryErrors | None
     stats: dict[str, Any]
     interrupted: bool
@@ -151,7 +151,7 @@ def complete_stats(result: MapResult, drops: Drops, wall: float) -> dict[str, An
     }
 
 
-def map_points(result: MapResult, config: Config) -> NDArray[np.float64]:
+def map_points(result: MapResult, config: Config) -> NDArray[np.float32]:
     """The map (N, 3) of a result, from the newest poses of its clusters."""
     return accumulate(result.placed_scans(config.map.max_range), config.map.voxel_size)
 

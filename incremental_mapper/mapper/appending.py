@@ -123,7 +123,7 @@ def _remember_measurements(
                     item.id,
                     core.stamp,
                     core.sensor,
-                    prepared.thinned.astype(np.float32),
+                    state.store.put(prepared.thinned.astype(np.float32)),
                     offset,
                 )
                 state.scans.append(scan)

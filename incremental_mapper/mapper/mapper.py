@@ -23,6 +23,7 @@ from incremental_mapper.graph.solver import (
     optimize,
     squared_error,
 )
+from incremental_mapper.map.store import make_store
 from incremental_mapper.mapper.appending import append_candidate
 from incremental_mapper.mapper.effort import FULL, Effort
 from incremental_mapper.mapper.front_end import FrontEnd, Prepared
@@ -70,7 +71,7 @@ class Mapper:
         self._series = EMPTY_SERIES
         self._orientation: NDArray[np.float64] | None = None
         self._carried: list[Prepared] = []
-        self._state = GraphState()
+        self._state = GraphState(store=make_store(config.map))
         self._base = BaseCount()
         self._base_last: int | None = None
         self._totals = Totals()

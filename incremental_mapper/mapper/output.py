@@ -34,7 +34,7 @@ def prepare_folder(folder: Path, force: bool) -> None:
 
 
 def write_result(
-    folder: Path, result: MapResult, points: NDArray[np.float64], stats: Mapping[str, Any]
+    folder: Path, result: MapResult, points: NDArray[np.float32], stats: Mapping[str, Any]
 ) -> None:
     """Write all data files of a run into an existing folder; pictures are not among them.
 

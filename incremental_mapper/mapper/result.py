@@ -69,6 +69,7 @@ class MapResult:
     ) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float64]]]:
         """Points (N, 3) in base_link within ``max_range`` metres, and T_map_base (4, 4)."""
         for scan in self.scans:
-            near = np.einsum('ij,ij->i', scan.points, scan.points) <= max_range**2
+            points = scan.points
+            near = np.einsum('ij,ij->i', points, points) <= max_range**2
             pose = self.values.atPose3(pose_key(scan.cluster)).compose(scan.T_cluster_scan)
-            yield scan.points[near], pose.matrix()
+            yield points[near], pose.matrix()

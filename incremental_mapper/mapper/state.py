@@ -21,6 +21,7 @@ from incremental_mapper.graph.factors import (
     velocity_key,
 )
 from incremental_mapper.graph.solver import copy_value
+from incremental_mapper.map.store import MemoryStore, PointStore, StoredPoints
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +56,7 @@ class PlacedCluster:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedScan:
-    """A scan of the map: points (N, 3) float32 in base_link, and where its cluster holds it.
+    """A scan of the map: its points in base_link, and where its cluster holds it.
 
     ``T_cluster_scan`` is the identity unless motion is compensated within clusters.
     """
@@ -63,8 +64,13 @@ class PlacedScan:
     cluster: int
     stamp: int
     sensor: str
-    points: NDArray[np.float32]
+    stored: StoredPoints
     T_cluster_scan: gtsam.Pose3
+
+    @property
+    def points(self) -> NDArray[np.float32]:
+        """Points (N, 3) in base_link, metres; fetched from where the map keeps them."""
+        return self.stored.load()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,14 +93,16 @@ def _recent_scans() -> deque[tuple[PlacedScan, NDArray[np.float64]]]:
 class GraphState:
     """All that the mapper remembers.
 
-    ``belief`` is the newest part, ``values`` what has left it; ``recent`` are the newest scans
-    with their points (M, 3) for scoring. ``scan_offsets`` is T_cluster_scan of each LiDAR's last
-    scan. ``last_velocity`` and ``last_bias`` are the newest ones; ``velocity_known`` says
-    that the graph has pinned the velocity down since the start.
+    ``store`` keeps the points of the scans. ``belief`` is the newest part, ``values`` what has
+    left it; ``recent`` are the newest scans with their points (M, 3) for scoring.
+    ``scan_offsets`` is T_cluster_scan of each LiDAR's last scan. ``last_velocity`` and
+    ``last_bias`` are the newest ones; ``velocity_known`` says that the graph has pinned the
+    velocity down since the start.
     ``alignment`` is how ENU sits in the map; ``georeferenced`` says that the map is ENU.
     ``factor_counts`` are the factors by kind, ``inertial`` the clusters with velocity and bias.
     """
 
+    store: PointStore = field(default_factory=MemoryStore)
     clusters: list[PlacedCluster] = field(default_factory=list)
     factors: list[Factor] = field(default_factory=list)
     scans: list[PlacedScan] = field(default_factory=list)

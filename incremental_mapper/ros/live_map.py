@@ -193,9 +193,10 @@ class LiveMap:
         self._stride = 1
 
     def _placed(self, scan: PlacedScan) -> NDArray[np.float64]:
-        near = np.einsum('ij,ij->i', scan.points, scan.points) <= self._config.map.max_range**2
+        points = scan.points
+        near = np.einsum('ij,ij->i', points, points) <= self._config.map.max_range**2
         pose = self._mapper.state.pose(scan.cluster).compose(scan.T_cluster_scan)
-        return transform_points(pose.matrix(), scan.points[near].astype(np.float64))
+        return transform_points(pose.matrix(), points[near].astype(np.float64))
 
 
 def _recent_factors(state: GraphState, first: int) -> Iterable[tuple[Factor, list[int]]]:

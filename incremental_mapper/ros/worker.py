@@ -263,7 +263,7 @@ class Worker:
         newest = self._mapper.newest() if result.clusters else None
         odom = None if newest is None else self._move_odom(newest)
         scans = self._new_scans()
-        self.scan_bytes += sum(scan.points.nbytes for scan in scans)
+        self.scan_bytes += sum(scan.stored.nbytes for scan in scans)
         self.cloud_bytes = self._live.nbytes
         points = self._live.placed(scans)
         self._emit(WindowUpdate(result, newest, odom, points, stats))

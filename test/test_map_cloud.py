@@ -1,0 +1,99 @@
+"""The accumulated map, and the stores that its scans are kept in."""
+
+import gc
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import incremental_mapper.map.cloud as cloud
+from incremental_mapper.config import make_config
+from incremental_mapper.errors import OutputError
+from incremental_mapper.geometry import pose_matrix, transform_points
+from incremental_mapper.map.store import DiskStore, MemoryStore, make_store
+
+
+def voxels(points, size):
+    return {
+        tuple(cell) for cell in np.floor(np.asarray(points, dtype=np.float64) / size).astype(int)
+    }
+
+
+def scattered(count, spread, seed, size=0.5):
+    """Points that keep clear of the borders of their voxels, whatever rounding does."""
+    rng = np.random.default_rng(seed)
+    cells = rng.integers(-round(spread / size), round(spread / size), size=(count, 3))
+    return ((cells + rng.uniform(0.05, 0.95, size=(count, 3))) * size).astype(np.float32)
+
+
+@settings(deadline=None, max_examples=20)
+@given(st.integers(0, 2000), st.integers(0, 10_000), st.sampled_from([100, 700, 10_000]))
+def test_map_has_one_point_in_every_voxel_that_was_seen(count, seed, chunk):
+    points = scattered(count, 300.0, seed)
+    pieces = [(part, np.eye(4)) for part in np.array_split(points, 7)]
+    before, cloud.CHUNK = cloud.CHUNK, chunk
+    try:
+        made = cloud.accumulate(pieces, 0.5)
+    finally:
+        cloud.CHUNK = before
+    assert made.dtype == np.float32 and made.shape[1:] == (3,)
+    assert len(made) == len(voxels(made, 0.5))
+    assert voxels(made, 0.5) == voxels(points, 0.5)
+
+
+def test_points_of_a_voxel_are_averaged():
+    points = np.array([[1.1, 0.1, 0.1], [1.3, 0.3, 0.1], [5.1, 0.1, 0.1]], dtype=np.float32)
+    made = cloud.accumulate([(points, np.eye(4))], 0.5)
+    assert made[np.argsort(made[:, 0])] == pytest.approx(
+        np.array([[1.2, 0.2, 0.1], [5.1, 0.1, 0.1]]), abs=1e-6
+    )
+
+
+def test_scans_are_placed_by_their_poses():
+    points = scattered(500, 20.0, 1)
+    pose = pose_matrix([2000.0, -3000.0, 10.0, 0.0, 0.0, np.sin(0.4), np.cos(0.4)])
+    made = cloud.accumulate([(points, pose)], 0.01)
+    wanted = transform_points(pose, points.astype(np.float64))
+    order = [np.lexsort(np.round(table, 2).T) for table in (made, wanted)]
+    assert made[order[0]] == pytest.approx(wanted[order[1]], abs=2e-3)
+
+
+def test_map_without_scans_is_empty():
+    assert cloud.accumulate([], 0.2).shape == (0, 3)
+
+
+@pytest.mark.parametrize('kind', ['memory', 'disk'])
+def test_store_gives_back_what_was_put(kind, tmp_path):
+    store = make_store(make_config({'map': {'store': kind, 'store_folder': str(tmp_path)}}).map)
+    assert isinstance(store, DiskStore if kind == 'disk' else MemoryStore)
+    clouds = [scattered(count, 20.0, count) for count in (100, 0, 1, 5000)]
+    stored = [store.put(points) for points in clouds]
+    for points, kept in reversed(list(zip(clouds, stored, strict=True))):
+        assert kept.nbytes == points.nbytes
+        assert np.array_equal(kept.load(), points)
+        assert kept.load().shape == points.shape
+
+
+def open_files():
+    return len(list(Path('/proc/self/fd').iterdir()))
+
+
+def test_disk_store_leaves_nothing_behind(tmp_path):
+    store = DiskStore(tmp_path)
+    kept = store.put(scattered(100, 20.0, 0))
+    descriptors = open_files()
+    del store
+    assert kept.load().shape == (100, 3)  # who holds points holds their file
+    del kept
+    gc.collect()
+    assert open_files() == descriptors - 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_folder_that_cannot_hold_the_map_is_named(tmp_path):
+    with pytest.raises(OutputError, match='nowhere: cannot hold the map'):
+        make_store(
+            make_config({'map': {'store': 'disk', 'store_folder': str(tmp_path / 'nowhere')}}).map
+        )
