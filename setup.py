@@ -35,6 +35,7 @@ setup(
     license_files=['LICENSE'],
     python_requires='>=3.11',
     packages=find_packages(exclude=['test', 'test.*']),
+    package_data={f'{NAME}.evaluation.report': ['page.html', 'style.css']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
@@ -10,7 +11,6 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
-import small_gicp
 from numpy.typing import NDArray
 
 from incremental_mapper.errors import ConfigError, InputError
@@ -63,13 +63,7 @@ class FinishedRun:
     @cached_property
     def points(self) -> NDArray[np.float64]:
         """The map (N, 3) in metres."""
-        path = self._path('map.ply')
-        points: NDArray[np.float64] = small_gicp.read_ply(str(path)).points()[:, :3]
-        if len(points) != self.stats.get('map_points', len(points)):
-            raise InputError(
-                f'{path}: holds {len(points)} points, stats.json counts {self.stats["map_points"]}'
-            )
-        return points
+        return _read_points(self._path('map.ply'))
 
     @cached_property
     def fixes(self) -> NDArray[np.float64]:
@@ -155,3 +149,15 @@ def interesting_stretch(graph: Record, seconds: float) -> tuple[int, int]:
     centre = min(fixes, key=lambda stamp: abs(stamp - middle), default=middle)
     start = max(min(centre - length // 2, last - length), first)
     return start, start + length
+
+
+def _read_points(path: Path) -> NDArray[np.float64]:
+    """Points (N, 3) of a map that ``map`` wrote.
+
+    Its layout is fixed; small_gicp's reader ends the process where a file is damaged.
+    """
+    head, end, body = path.read_bytes().partition(b'end_header\n')
+    count = re.search(rb'^element vertex (\d+)$', head, flags=re.MULTILINE)
+    if not end or count is None or len(body) != 12 * int(count[1]):
+        raise InputError(f'{path}: is damaged, or is no map that "incremental_mapper map" wrote')
+    return np.frombuffer(body, dtype='<f4').reshape(-1, 3).astype(np.float64)
