@@ -111,7 +111,7 @@ def test_least_time_shift_is_found_without_enumerating(tasks):
 
     tasks.questions = search
     searched_windows = 0
-    for task, exhaustive, searched in tasks(0.3, 'min_time_shift'):
+    for _, exhaustive, searched in tasks(0.3, 'min_time_shift'):
         if exhaustive.cut or exhaustive.winner is None:
             continue
         searched_windows += len(searched.tried) < len(exhaustive.tried)

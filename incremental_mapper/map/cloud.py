@@ -54,7 +54,7 @@ def _thin(parts: list[NDArray[np.float32]], voxel_size: float) -> NDArray[np.flo
     return np.concatenate(thinned)
 
 
-def write_ply(path: Path, points: NDArray[np.float64]) -> None:
+def write_ply(path: Path, points: NDArray[np.floating]) -> None:
     """Write points (N, 3) as a binary PLY with float vertices."""
     header = (
         'ply\nformat binary_little_endian 1.0\n'

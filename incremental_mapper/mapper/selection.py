@@ -4,6 +4,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import islice
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -21,6 +22,10 @@ from incremental_mapper.criteria.mom import direct_score, fast_score
 from incremental_mapper.graph.belief import Problem
 from incremental_mapper.mapper.beam import beam_search
 from incremental_mapper.mapper.task import Task
+
+
+LOOKED_AT = 5000
+"""Candidates after which the search for the least shifted connected one gives up."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -160,7 +165,7 @@ def _pool(
     if bound <= selection.max_candidates:
         return list(candidates(task.parts, task.head, task.imu)), False
     if plan.by_time_shift:
-        least = _least_shifted(task, selection.max_candidates)
+        least = _least_shifted(task)
         return least, not least or bool(task.factors.components(least[-1]))
     found: list[Candidate] = []
     if plan.solve:
@@ -175,16 +180,16 @@ def _pool(
     return found, True
 
 
-def _least_shifted(task: Task, limit: int) -> list[Candidate]:
+def _least_shifted(task: Task) -> list[Candidate]:
     """Candidates by ascending time shift, up to the last of the least shifted connected ones.
 
-    Exact: the search yields them in that order. At most ``limit`` are looked at.
+    Exact: the search yields them in that order. At most LOOKED_AT are looked at.
     """
     for may_merge in (False, True)[int(task.may_merge) :]:
         looked: list[Candidate] = []
         winners: list[Candidate] = []
         search = by_time_shift(task.parts, task.head, task.imu, may_merge)
-        for candidate in islice(search, limit):
+        for candidate in islice(search, LOOKED_AT):
             if winners and candidate.time_shift > winners[0].time_shift:
                 break
             looked.append(candidate)
@@ -197,7 +202,13 @@ def _least_shifted(task: Task, limit: int) -> list[Candidate]:
 
 def _best(scores: list[float], pool: list[Candidate]) -> int | None:
     finite = [i for i, score in enumerate(scores) if np.isfinite(score)]
-    return min(finite, key=lambda i: (scores[i], pool[i].vertices, i), default=None)
+    return min(finite, key=lambda i: (scores[i], *_simplicity(pool[i])), default=None)
+
+
+def _simplicity(candidate: Candidate) -> tuple[Any, ...]:
+    """Orders candidates that score alike: fewer vertices, finer partition, earlier cuts."""
+    cuts = tuple(cluster.last for cluster in candidate.clusters)
+    return candidate.vertices, -len(candidate.clusters), cuts, candidate.connections
 
 
 def _propose(
