@@ -127,7 +127,7 @@ def test_windows_of_seconds_are_mapped(map_light, light_drive, strategy):
     assert run.status == 0
     assert run.stats['components'] == 1
     assert run.stats['ate_rmse_m'] < 0.5
-    assert max(int(row['core']) for row in run.rows()) > 20
+    assert max(int(row['core']) for row in run.rows) > 20
     # The time shift is exact whatever the size; the others say that they did not see everything.
     assert (run.stats['cut_windows'] > 0) == (strategy != 'min_time_shift')
 

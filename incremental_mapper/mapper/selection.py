@@ -23,7 +23,6 @@ from incremental_mapper.graph.belief import Problem
 from incremental_mapper.mapper.beam import beam_search
 from incremental_mapper.mapper.task import Task
 
-
 LOOKED_AT = 5000
 """Candidates after which the search for the least shifted connected one gives up."""
 
