@@ -63,7 +63,14 @@ def _context(contents: Contents) -> dict[str, Any]:
     """What the template is filled with."""
     record, lead = contents.record, words.lead_strategy(contents)
     strategies = contents.strategies
-    tables = [('By drive', _tables(make_table(contents.entries(), strategies, record['remarks'])))]
+    failures = words.failures(contents)
+    # The page tells of failures by itself.
+    remarks = [
+        remark
+        for remark in record['remarks']
+        if not any(reason in remark for _, _, reason in failures)
+    ]
+    tables = [('By drive', _tables(make_table(contents.entries(), strategies, remarks)))]
     pieces = contents.motion_entries()
     if pieces:
         tables.append(('By motion', _tables(make_table(pieces, strategies))))
@@ -81,7 +88,7 @@ def _context(contents: Contents) -> dict[str, Any]:
         'what_ran': words.what_ran(contents),
         'verdict': [] if lead is None else words.verdict(contents, lead),
         'tiles': [] if lead is None else words.tiles(contents, lead),
-        'failures': words.failures(contents),
+        'failures': failures,
         'tables': tables,
         'graph_legend': graph_swatches(contents.sequences) if lead is not None else [],
         'sequences': [
