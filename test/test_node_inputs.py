@@ -1,6 +1,7 @@
 """What comes in: clouds of every layout, faulty messages, sensors that are missing or die."""
 
 import json
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -8,14 +9,25 @@ import pytest
 
 pytest.importorskip('rclpy', reason='rclpy is not installed (extra "ros")')
 
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.signals import SignalHandlerOptions
 from ros_helpers import (
+    INPUTS,
     assert_same_graph,
     bag_parameters,
     map_offline,
+    next_domain,
     restamp,
     stamp_of,
 )
 from sensor_msgs.msg import PointField
+
+from incremental_mapper.config import make_config
+from incremental_mapper.ros.inputs import Inputs
 
 LEFT, RIGHT, IMU, FIX = '/points_left', '/points_right', '/imu', '/fix'
 
@@ -191,3 +203,72 @@ def test_flood_is_shed_in_order_and_nothing_is_lost_unseen(start_node, messages,
         lost = found[sensor]['dropped'].get('queue_full', 0)
         assert found[sensor]['received'] - lost == stats['received'].get(sensor, 0), sensor
         assert stats['dropped'].get(sensor, {}).get('queue_full', 0) == lost
+
+
+@pytest.fixture
+def unattended(light_bag):
+    """Inputs whose executor runs only when it is told to: (publish, spin, inputs, handed on)."""
+    context = Context()
+    rclpy.init(
+        context=context,
+        domain_id=next_domain(),
+        signal_handler_options=SignalHandlerOptions.NO,
+    )
+    node, handed_on = Node('unattended', context=context), []
+    inputs = Inputs(node, make_config(bag_parameters(light_bag)), handed_on.append)
+    quality = QoSProfile(depth=1000)
+    publishers = {
+        topic: node.create_publisher(kind, topic, quality) for topic, kind in INPUTS.items()
+    }
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+
+    def spin():
+        time.sleep(0.5)  # until the middleware has passed on what was published
+        for _ in range(20):
+            executor.spin_once(0.01)
+
+    def publish(items):
+        for item in items:
+            publishers[item.topic].publish(item.content)
+            time.sleep(0.001)
+
+    yield publish, spin, inputs, handed_on
+    executor.shutdown()
+    node.destroy_node()
+    rclpy.try_shutdown(context=context)
+
+
+def test_messages_that_waited_come_in_the_order_of_their_arrival(unattended, messages):
+    publish, spin, _, handed_on = unattended
+    waiting = messages[:60]
+    publish(waiting)
+    spin()
+    assert {item.topic for item in waiting} == set(INPUTS)
+    expected = [stamp_of(item.message()) for item in waiting]
+    assert [item.stamp for item in handed_on] == expected
+
+
+def test_messages_that_the_middleware_overwrote_are_counted(unattended, messages):
+    publish, spin, inputs, handed_on = unattended
+    fixes = [item for item in messages if item.topic == FIX]
+    publish(fixes[:1])
+    spin()
+    publish(fixes[:1] * 180)
+    spin()
+    assert inputs.received['gnss'] == len(handed_on) == 1 + 50
+    assert inputs.lost['gnss'] == 130
+    assert inputs.received['imu'] == inputs.lost['imu'] == 0
+
+
+def test_another_publisher_is_no_loss(unattended, messages):
+    publish, spin, inputs, _ = unattended
+    fixes = [item for item in messages if item.topic == FIX]
+    publish(fixes[:1] * 40)
+    spin()
+    second = inputs._node.create_publisher(INPUTS[FIX], FIX, QoSProfile(depth=10))
+    for _ in range(3):
+        second.publish(fixes[0].message())
+        publish(fixes[:1])
+        spin()
+    assert inputs.received['gnss'] == 46 and inputs.lost['gnss'] == 0
