@@ -163,11 +163,17 @@ def light_drive(drive, tmp_path_factory):
     """The first 2.3 s of ``drive`` with every fifth point: quick; not to be written to."""
     folder = tmp_path_factory.mktemp('drives') / 'light'
     shutil.copytree(drive, folder)
+    cut_drive(folder, LIGHT_SECONDS, every=5)
+    return folder
+
+
+def cut_drive(folder, seconds, every=1):
+    """Keep the first ``seconds`` of a KAIST folder, and of its scans only some points."""
     data = folder / 'sensor_data'
     tables = [data / f'{name}.csv' for name in ('xsens_imu', 'vrs_gps')]
     tables += [data / f'VLP_{side}_stamp.csv' for side in ('left', 'right')]
     first = min(int(path.stem) for path in data.glob('VLP_*/*.bin'))
-    end = first + round(LIGHT_SECONDS * NANOSECONDS)
+    end = first + round(seconds * NANOSECONDS)
     for table in tables:
         lines = table.read_text().splitlines(keepends=True)
         table.write_text(''.join(line for line in lines if int(line.split(',')[0]) < end))
@@ -175,8 +181,7 @@ def light_drive(drive, tmp_path_factory):
         if int(path.stem) >= end:
             path.unlink()
         else:
-            np.fromfile(path, dtype='<f4').reshape(-1, 4)[::5].tofile(path)
-    return folder
+            np.fromfile(path, dtype='<f4').reshape(-1, 4)[::every].tofile(path)
 
 
 @pytest.fixture

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import cut_drive
 from distributed import LocalCluster
 from evo.core import metrics, sync
 from evo.core.metrics import PoseRelation
@@ -25,6 +26,7 @@ from incremental_mapper.evaluation.trajectory_error import match_truth, trajecto
 from incremental_mapper.trajectory import NANOSECONDS, read_tum
 
 STRATEGIES = ('base', 'min_solver_error')
+SECONDS = 1.4
 SETTINGS = 'mom:\n  max_points: 100\n'
 OF_TIME = {'window_median_s', 'real_time_factor', 'wall_s'}
 
@@ -90,6 +92,7 @@ def inputs(light_drive, tmp_path_factory):
     root = tmp_path_factory.mktemp('inputs')
     for day in ('monday', 'tuesday'):
         shutil.copytree(light_drive, root / day / 'drive')
+        cut_drive(root / day / 'drive', SECONDS)
     (root / 'tuesday' / 'drive' / 'global_pose.csv').unlink()
     return [root / day / 'drive' for day in ('monday', 'tuesday')]
 

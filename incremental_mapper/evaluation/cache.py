@@ -21,6 +21,8 @@ from incremental_mapper.evaluation.run import versions
 from incremental_mapper.mapper.output import FILES
 
 MARK = 'finished.json'
+TRUTH_FILE = 'truth.tum'
+"""True poses of a sequence, beside the folders of its runs."""
 UNRELATED = ('cli', 'ros', 'evaluation')
 """Parts of the package that no number of a run depends on, but for ``RELATED``."""
 RELATED = ('evaluation/run.py', 'evaluation/trajectory_error.py')
@@ -72,16 +74,21 @@ def is_finished(folder: Path, key: str) -> bool:
     """Whether a folder holds the whole run that ``key`` stands for."""
     try:
         mark = json.loads((folder / MARK).read_text(encoding='utf-8'))
-        names = [*FILES, *mark['files']]
-        return bool(mark['key'] == key) and all((folder / name).is_file() for name in names)
+        paths = [folder / name for name in (*FILES, *mark['files'])]
+        if mark['truth']:
+            paths.append(folder.parent / TRUTH_FILE)
+        return bool(mark['key'] == key) and all(path.is_file() for path in paths)
     except (OSError, ValueError, KeyError, TypeError):
         return False
 
 
-def mark_finished(folder: Path, key: str, made_of: Mapping[str, Any]) -> None:
-    """Declare a run finished; ``made_of`` tells a reader what the key was computed from."""
+def mark_finished(folder: Path, key: str, truth: bool, made_of: Mapping[str, Any]) -> None:
+    """Declare a run finished; ``truth`` tells whether the true trajectory lies beside it.
+
+    ``made_of`` tells a reader what the key was computed from.
+    """
     files = sorted(path.name for path in folder.iterdir() if path.name != MARK)
-    write_json(folder / MARK, {'key': key, 'files': files, **made_of})
+    write_json(folder / MARK, {'key': key, 'files': files, 'truth': truth, **made_of})
 
 
 def clear(folder: Path) -> None:

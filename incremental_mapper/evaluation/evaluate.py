@@ -12,7 +12,7 @@ from incremental_mapper.datasets.truth import read_truth
 from incremental_mapper.errors import OutputError
 from incremental_mapper.evaluation import cache
 from incremental_mapper.evaluation.finished import FinishedRun
-from incremental_mapper.evaluation.jobs import TRUTH_FILE, Job, Outcome, Status, run_job
+from incremental_mapper.evaluation.jobs import Job, Outcome, Status, run_job
 from incremental_mapper.evaluation.metrics import drive_metrics
 from incremental_mapper.evaluation.motion_metrics import motion_metrics
 from incremental_mapper.evaluation.quality_jobs import QualityJob, run_quality_job, stored_quality
@@ -194,16 +194,19 @@ def _cut(evaluation: Evaluation) -> dict[str, Pieces]:
 
 
 def _truth(out_dir: Path, sequence: str) -> Trajectory | None:
-    path = out_dir / sequence / TRUTH_FILE
+    path = out_dir / sequence / cache.TRUTH_FILE
     return read_truth(path) if path.is_file() else None
 
 
 def _remarks(evaluation: Evaluation, pieces: Mapping[str, Pieces]) -> list[str]:
     """What a reader of the table has to know besides its numbers."""
     lines = []
-    for sequence in dict.fromkeys(item.job.sequence for item in _finished(evaluation)):
-        if not (evaluation.out_dir / sequence / TRUTH_FILE).is_file():
+    runs = {item.job.sequence: FinishedRun(item.job.folder) for item in _finished(evaluation)}
+    for sequence, run in runs.items():
+        if not (evaluation.out_dir / sequence / cache.TRUTH_FILE).is_file():
             lines.append(f'{sequence}: no truth, so no errors against it')
+        elif run.stats.get('rpe_translation_rmse_m') is None:
+            lines.append(f'{sequence}: the truth covers fewer than two poses, so no errors')
     if pieces:
         lines.append('components, distance to base map and plane variance: of whole drives only')
     for sequence, cut in pieces.items():

@@ -14,7 +14,6 @@ from incremental_mapper.evaluation.workers import stop_of_this_process
 from incremental_mapper.mapper.output import prepare_folder
 from incremental_mapper.trajectory import Trajectory, write_tum
 
-TRUTH_FILE = 'truth.tum'
 FAILURE_FILE = 'failure.txt'
 
 
@@ -123,13 +122,14 @@ def _run(job: Job) -> Outcome:
     try:
         prepare_folder(job.folder, force=True)
         cache.clear(job.folder)
+        (job.folder / FAILURE_FILE).unlink(missing_ok=True)
         drive = open_drive(job.input, job.tree, job.where, job.truth)
         run, _ = map_into(job.folder, drive, stop=stop_of_this_process())
         if run.interrupted:
             return Outcome(job, Status.INTERRUPTED)
-        _write_truth(job.folder.parent / TRUTH_FILE, job.strategy, drive.truth)
+        _write_truth(job.folder.parent / cache.TRUTH_FILE, job.strategy, drive.truth)
         made_of = {'input': str(job.input), 'settings': job.tree, 'program': job.program}
-        cache.mark_finished(job.folder, job.key, made_of)
+        cache.mark_finished(job.folder, job.key, drive.truth is not None, made_of)
     except OSError as error:
         raise OutputError(f'{job.folder}: cannot be written ({error.strerror})') from error
     return Outcome(job, Status.DONE)

@@ -36,7 +36,7 @@ from typing import Any
 from incremental_mapper.config import Tree
 from incremental_mapper.evaluation import cache
 from incremental_mapper.evaluation.finished import FinishedRun
-from incremental_mapper.evaluation.jobs import TRUTH_FILE, Job, Outcome, Status
+from incremental_mapper.evaluation.jobs import Job, Outcome, Status
 from incremental_mapper.evaluation.metrics import Metrics
 from incremental_mapper.evaluation.segments import Motion, Segment, motion_of_name
 from incremental_mapper.evaluation.table import ROWS, Entry
@@ -148,14 +148,14 @@ def _sequence(evaluation: Evaluation, name: str, outcomes: Sequence[Outcome]) ->
     motion, label = motion_of_name(name)
     pieces = evaluation.pieces.get(name, Pieces())
     finished = [outcome.job for outcome in outcomes if outcome.status is Status.DONE]
-    truth = evaluation.out_dir / name / TRUTH_FILE
+    truth = evaluation.out_dir / name / cache.TRUTH_FILE
     return {
         'name': name,
         'label': label,
         'input': str(outcomes[0].job.input),
         'kind': _stats(finished[0])['input']['kind'] if finished else None,
         'motion': motion,
-        'truth': f'{name}/{TRUTH_FILE}' if finished and truth.is_file() else None,
+        'truth': f'{name}/{cache.TRUTH_FILE}' if finished and truth.is_file() else None,
         'segments': [
             {'motion': piece.motion, 'start_ns': piece.start, 'end_ns': piece.end}
             for piece in pieces.segments

@@ -167,7 +167,7 @@ class ClusterWorkers:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._pool.shutdown(wait=error is None, cancel_futures=True)
+        self._pool.shutdown(wait=error is None)  # not waiting, Dask's executor cancels
         self._client.close()
 
     def run(
