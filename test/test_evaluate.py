@@ -132,6 +132,8 @@ def test_every_strategy_maps_every_input_into_a_folder_of_its_own(done):
         for strategy in STRATEGIES
     }
     assert done.record['status'] == 'finished'
+    assert done.record['command'].startswith('incremental_mapper evaluate ')
+    assert done.record['command'] in done.text('table.md')
     for (sequence, strategy), job in done.jobs.items():
         assert job['status'] == 'done' and job['error'] is None and not job['reused']
         folder = done.folder / sequence / strategy
@@ -356,6 +358,7 @@ def test_drive_is_cut_by_its_estimate_where_there_is_no_truth(copy, inputs, conf
         (('--jobs', '0'), ('--jobs is 0',)),
         (('--config', 'none.yaml'), ('none.yaml', 'cannot be read')),
         (('--reference', 'none.csv'), ('none.csv', 'cannot be read')),
+        (('--truth', 'none.tum'), ('none.tum', 'is no file')),
         (('--scheduler', 'nowhere'), ('--scheduler nowhere', 'dask scheduler')),
     ],
 )
@@ -399,6 +402,7 @@ def test_ctrl_c_stops_and_the_next_call_goes_on(inputs, config, tmp_path):
     assert process.returncode == 130, errors
     assert errors.splitlines()[-1] == 'incremental_mapper: interrupted'
     assert 'Traceback' not in errors
+    assert 'jobs are done; the same call goes on' in errors
     with pytest.raises(ProcessLookupError):
         os.killpg(process.pid, 0)
     assert json.loads((out / 'evaluation.json').read_text())['status'] == 'running'

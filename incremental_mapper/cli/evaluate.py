@@ -4,6 +4,7 @@ import argparse
 import shlex
 import shutil
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +13,12 @@ from tqdm import tqdm
 from incremental_mapper.cli import exit_status
 from incremental_mapper.config import Tree, make_config, merge, read_yaml
 from incremental_mapper.criteria.criterion import strategy_names
+from incremental_mapper.datasets.open import read_truth
 from incremental_mapper.errors import ConfigError
 from incremental_mapper.evaluation.evaluate import Plan, evaluate, prepare_out_dir, unfinished
 from incremental_mapper.evaluation.evaluation_files import Reference, write_tables
-from incremental_mapper.evaluation.jobs import Outcome, Status, plan_jobs
+from incremental_mapper.evaluation.jobs import Job, Outcome, Status, plan_jobs
+from incremental_mapper.evaluation.record import Evaluation
 from incremental_mapper.evaluation.table_csv import read_csv
 from incremental_mapper.evaluation.table_formats import plain_table
 from incremental_mapper.evaluation.workers import ClusterWorkers, LocalWorkers, Workers
@@ -108,27 +111,37 @@ def run(args: argparse.Namespace) -> int:
     todo = list(plan.jobs) if args.force else unfinished(plan.jobs)
     with _workers(args) as workers:
         prepare_out_dir(plan.out_dir, args.inputs, args.force)
-        done = len(plan.jobs) - len(todo)
-        if done:
-            print(f'{done} of {len(plan.jobs)} jobs were already done', file=sys.stderr)
-        with tqdm(
-            total=len(plan.jobs), initial=done, unit='job', desc='evaluate', disable=None
-        ) as bar:
-
-            def tell(outcome: Outcome) -> None:
-                if outcome.error is not None:
-                    job = outcome.job
-                    bar.write(
-                        f'failed: {job.sequence}, {job.strategy}: {outcome.error}', file=sys.stderr
-                    )
-                bar.update()
-
-            evaluation = evaluate(plan, todo, workers, tell)
+        evaluation = _evaluate(plan, todo, workers)
     table = write_tables(evaluation, plan.by_motion, reference)
     print(plain_table(table, shutil.get_terminal_size((DEFAULT_WIDTH, 0)).columns))
     _write_report(plan.out_dir)
     failed = sum(outcome.status is Status.FAILED for outcome in evaluation.outcomes)
     return exit_status.FAILURE if failed else 0
+
+
+def _evaluate(plan: Plan, todo: Sequence[Job], workers: Workers) -> Evaluation:
+    """Run what is left, and tell of it on stderr."""
+    count = len(plan.jobs)
+    done = count - len(todo)
+    if done:
+        print(f'{done} of {count} jobs were already done', file=sys.stderr)
+    with tqdm(total=count, initial=done, unit='job', desc='evaluate', disable=None) as bar:
+
+        def tell(outcome: Outcome) -> None:
+            if outcome.error is not None:
+                job = f'{outcome.job.sequence}, {outcome.job.strategy}'
+                bar.write(f'failed: {job}: {outcome.error}', file=sys.stderr)
+            bar.update()
+
+        try:
+            return evaluate(plan, todo, workers, tell)
+        except KeyboardInterrupt:
+            left = len(unfinished(plan.jobs))
+            bar.write(
+                f'note: {count - left} of {count} jobs are done; the same call goes on from there',
+                file=sys.stderr,
+            )
+            raise
 
 
 def _plan(args: argparse.Namespace) -> Plan:
@@ -145,6 +158,8 @@ def _plan(args: argparse.Namespace) -> Plan:
     if args.verify:
         tree = merge(tree, {'selection': {'verify': True}})
     make_config(tree, where)
+    if args.truth is not None:
+        read_truth(args.truth)  # a wrong file is told once, not by every job
     jobs = plan_jobs(args.inputs, args.out, strategies, tree, where, args.truth)
     return Plan(
         out_dir=args.out,
@@ -152,7 +167,7 @@ def _plan(args: argparse.Namespace) -> Plan:
         strategies=strategies,
         settings=tree,
         settings_from=where,
-        command=shlex.join(['incremental_mapper', *sys.argv[1:]]),
+        command=shlex.join(['incremental_mapper', *args.words]),
         caption=args.caption,
         by_motion=args.by_motion,
     )

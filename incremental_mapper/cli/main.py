@@ -48,6 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = sys.argv[1:] if arguments is None else list(arguments)
     try:
         args = make_parser(words[0] if words else None).parse_args(words)
+        args.words = words  # evaluate writes down what it was called with
         status: int = args.func(args)
     except MapperError as error:
         print(f'incremental_mapper: {error}', file=sys.stderr)

@@ -77,13 +77,6 @@ def evaluate(
     ``tell`` is called with the outcome of each job that was run. Raises KeyboardInterrupt where it
     was interrupted; what is done until then is not run again.
     """
-    waiting = {job.folder for job in todo}
-    outcomes = {
-        job.folder: Outcome(job, Status.WAITING)
-        if job.folder in waiting
-        else Outcome(job, Status.DONE, reused=True)
-        for job in plan.jobs
-    }
     evaluation = Evaluation(
         out_dir=plan.out_dir.resolve(),
         command=plan.command,
@@ -91,9 +84,41 @@ def evaluate(
         strategies=plan.strategies,
         settings=plan.settings,
         settings_from=plan.settings_from,
-        outcomes=tuple(outcomes.values()),
+        outcomes=_before(plan.jobs, todo),
     )
     write_record(evaluation)
+    evaluation = replace(evaluation, outcomes=_run(evaluation.outcomes, todo, workers, tell))
+    qualities, remarks = _qualities(evaluation, workers)
+    pieces = _cut(evaluation) if plan.by_motion else {}
+    evaluation = replace(
+        evaluation,
+        found=_found(evaluation, qualities, pieces),
+        pieces=pieces,
+        remarks=(*_remarks(evaluation, pieces), *remarks),
+    )
+    write_record(evaluation)
+    return evaluation
+
+
+def _before(jobs: Sequence[Job], todo: Sequence[Job]) -> tuple[Outcome, ...]:
+    """What is known before anything has been run."""
+    waiting = {job.folder for job in todo}
+    return tuple(
+        Outcome(job, Status.WAITING)
+        if job.folder in waiting
+        else Outcome(job, Status.DONE, reused=True)
+        for job in jobs
+    )
+
+
+def _run(
+    before: Sequence[Outcome],
+    todo: Sequence[Job],
+    workers: Workers,
+    tell: Callable[[Outcome], object],
+) -> tuple[Outcome, ...]:
+    """The outcomes of all jobs, in their order, after those that were left have been run."""
+    outcomes = {outcome.job.folder: outcome for outcome in before}
     with closing(workers.run(run_job, todo)) as completed:
         for job, future in completed:
             outcome = _outcome(job, future)
@@ -101,36 +126,7 @@ def evaluate(
                 raise KeyboardInterrupt
             outcomes[job.folder] = outcome
             tell(outcome)
-    evaluation = replace(evaluation, outcomes=tuple(outcomes.values()))
-    qualities, remarks = _qualities(evaluation, workers)
-    pieces = _cut(evaluation) if plan.by_motion else {}
-    bases = {
-        outcome.job.sequence: FinishedRun(outcome.job.folder)
-        for outcome in _finished(evaluation)
-        if outcome.job.strategy == BASE
-    }
-    found = []
-    for outcome in evaluation.outcomes:
-        job = outcome.job
-        if outcome.status is not Status.DONE:
-            found.append(Found())
-            continue
-        run, cut = FinishedRun(job.folder), pieces.get(job.sequence, Pieces())
-        truth = _truth(evaluation.out_dir, job.sequence)
-        found.append(
-            Found(
-                drive_metrics(run, qualities.get(job.folder, {})),
-                motion_metrics(run, bases.get(job.sequence), cut.segments, truth),
-            )
-        )
-    evaluation = replace(
-        evaluation,
-        found=tuple(found),
-        pieces=pieces,
-        remarks=(*_remarks(evaluation, pieces), *remarks),
-    )
-    write_record(evaluation)
-    return evaluation
+    return tuple(outcomes.values())
 
 
 def _outcome(job: Job, future: 'Future[Outcome]') -> Outcome:
@@ -148,6 +144,32 @@ def _outcome(job: Job, future: 'Future[Outcome]') -> Outcome:
 
 def _finished(evaluation: Evaluation) -> list[Outcome]:
     return [outcome for outcome in evaluation.outcomes if outcome.status is Status.DONE]
+
+
+def _found(
+    evaluation: Evaluation,
+    qualities: Mapping[Path, Mapping[str, float | None]],
+    pieces: Mapping[str, Pieces],
+) -> tuple[Found, ...]:
+    """The numbers of every job, read from its folder; those of a failed job are missing."""
+    bases = {
+        outcome.job.sequence: FinishedRun(outcome.job.folder)
+        for outcome in _finished(evaluation)
+        if outcome.job.strategy == BASE
+    }
+    found = []
+    for outcome in evaluation.outcomes:
+        job, numbers = outcome.job, Found()
+        if outcome.status is Status.DONE:
+            run = FinishedRun(job.folder)
+            numbers = Found(drive_metrics(run, qualities.get(job.folder, {})))
+            segments = pieces.get(job.sequence, Pieces()).segments
+            if segments:
+                truth = _truth(evaluation.out_dir, job.sequence)
+                by_motion = motion_metrics(run, bases.get(job.sequence), segments, truth)
+                numbers = replace(numbers, by_motion=by_motion)
+        found.append(numbers)
+    return tuple(found)
 
 
 def _qualities(
