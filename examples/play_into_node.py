@@ -41,8 +41,8 @@ SHARE, FASTEST = 0.6, 4.0
 """Of the speed at which ``map`` ran so much is asked of the node, which publishes too."""
 PATIENCE = 300.0
 """Seconds that the node has to answer a service: it maps what waits before."""
-ARRIVAL = 20.0
-"""Seconds that the last messages have to arrive."""
+ARRIVAL = 60.0
+"""Seconds that a program has to start, and what it sends to arrive."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +112,7 @@ def compare(wanted: Wanted, rate: float) -> int:
         say('DIFFERENT', difference)
     if found.differences:
         return 1
+    saved = saved.relative_to(Path.cwd()) if saved.is_relative_to(Path.cwd()) else saved
     say('equal', f'{saved} holds the same graph as {wanted.made_by_map}, which map made:')
     say('', f'{found.clusters} clusters, {found.variables} variables, {found.factors} factors,')
     say('', f'largest difference of a number {found.worst:.1g} (allowed {TOLERANCE:g})')
