@@ -40,7 +40,7 @@ SENSOR_ROW_STEP = 0.55
 LOWEST_ARC, ARC_STEP = 0.75, 0.62
 FACTOR_SIZE = 9
 """Side of a factor's square in pixels."""
-SMALLEST_LABELLED_NODE = 16
+SMALLEST_LABELLED_NODE = 14
 
 
 @dataclass(frozen=True, slots=True)

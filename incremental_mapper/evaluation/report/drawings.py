@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from incremental_mapper.evaluation.figure import PAGE, Look, css_colour, svg_for_page
+from incremental_mapper.evaluation.finished import FinishedRun
 from incremental_mapper.evaluation.graph_picture import graph_figure, graph_legend, loose_variables
 from incremental_mapper.evaluation.pictures import map_figure, side_figure, trajectory_figure
 from incremental_mapper.evaluation.report.charts import progress_figure
@@ -26,6 +27,14 @@ class Picture:
 
     svg: str
     caption: str
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """Graphs over the same stretch of time, and what the stretch is."""
+
+    heading: str
+    pictures: tuple[Picture, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,49 +90,48 @@ def sequence_pictures(
     )
 
 
-def graph_pictures(sequence: Sequence, number: int) -> Iterator[Picture]:
-    """The same stretch of the graphs of base and of the lead."""
+def graph_stretches(sequence: Sequence, number: int) -> Iterator[Stretch]:
+    """The graphs of base and of the lead over the same time: typical, and where base is loose."""
     lead = sequence.lead
     if lead is None:
         return
-    start, end = stretch(sequence)
+    run = sequence.runs[lead]
+    typical = run.stretch(GRAPH_SECONDS)
+    yield _stretch(sequence, lead, f'{number}a', 'The graph', typical)
+    loose = [] if BASE not in sequence.runs else _loose_stamps(sequence.runs[BASE])
+    if loose:
+        length, middle = typical[1] - typical[0], sum(typical) // 2
+        centre = min(loose, key=lambda stamp: abs(stamp - middle))
+        latest = run.last_stamp + EDGE - length
+        start = max(min(centre - length // 2, latest), run.first_stamp - EDGE)
+        span = (start, start + length)
+        yield _stretch(sequence, lead, f'{number}b', 'Where base is not connected', span)
+
+
+def _stretch(
+    sequence: Sequence, lead: str, place: str, heading: str, span: tuple[int, int]
+) -> Stretch:
     origin = sequence.runs[lead].first_stamp
+    pictures = []
     for name in dict.fromkeys([BASE, lead]):
         if name not in sequence.runs:
             continue
-        run = sequence.runs[name]
-        figure, shown = graph_figure(run.graph, start, end, TALL, origin)
-        loose = f'; {shown.loose} of them not connected' if shown.loose else ''
-        caption = (
-            f'{name}: {shown.clusters} clusters, {shown.variables} variables{loose}, '
-            f'{shown.factors} factors.'
+        figure, shown = graph_figure(sequence.runs[name].graph, *span, TALL, origin)
+        loose = f', {shown.loose} of them not connected' if shown.loose else ''
+        counts = (
+            f'{shown.clusters} clusters, {shown.variables} variables{loose}, '
+            f'{shown.factors} factors'
         )
-        described = f'Factor graph of {name} on {sequence.name}, {caption.split(": ", 1)[1]}'
-        yield Picture(svg_for_page(figure, f'graph{number}{_plain(name)}', described), caption)
+        described = f'Factor graph of {name} on {sequence.name}: {counts}'
+        plain_name = f'graph{place}{_plain(name)}'
+        pictures.append(Picture(svg_for_page(figure, plain_name, described), f'{name}: {counts}.'))
+    start, end = ((stamp - origin) / NANOSECONDS for stamp in span)
+    return Stretch(f'{heading}, {start:.2f} s to {end:.2f} s', tuple(pictures))
 
 
-def stretch(sequence: Sequence) -> tuple[int, int]:
-    """Start and end (ns) of the graph pictures: where base is not connected, else around a fix."""
-    assert sequence.lead is not None
-    run = sequence.runs[sequence.lead]
-    start, end = run.stretch(GRAPH_SECONDS)
-    if BASE in sequence.runs:
-        graph = sequence.runs[BASE].graph
-        loose = loose_variables(graph)
-        stamps = [item['stamp_ns'] for item in graph['variables'] if item['key'] in loose]
-        middle, half = (start + end) // 2, (end - start) // 2
-        centre = min(stamps, key=lambda stamp: abs(stamp - middle), default=middle)
-        start = max(min(centre - half, run.last_stamp + EDGE - 2 * half), run.first_stamp - EDGE)
-        end = start + 2 * half
-    return start, end
-
-
-def stretch_text(sequence: Sequence) -> str:
-    """Where that stretch lies."""
-    assert sequence.lead is not None
-    run = sequence.runs[sequence.lead]
-    start, end = stretch(sequence)
-    return f'{run.seconds(start):.2f} s to {run.seconds(end):.2f} s'
+def _loose_stamps(run: FinishedRun) -> list[int]:
+    loose = loose_variables(run.graph)
+    return [item['stamp_ns'] for item in run.graph['variables'] if item['key'] in loose]
 
 
 def graph_swatches(sequences: tuple[Sequence, ...]) -> list[Swatch]:

@@ -20,10 +20,9 @@ from incremental_mapper.evaluation.report.contents import Contents, Sequence, re
 from incremental_mapper.evaluation.report.drawings import (
     Swatch,
     drive_seconds,
-    graph_pictures,
+    graph_stretches,
     graph_swatches,
     sequence_pictures,
-    stretch_text,
 )
 from incremental_mapper.evaluation.table import (
     FURTHER_ROWS,
@@ -110,8 +109,7 @@ def _section(contents: Contents, sequence: Sequence, number: int) -> dict[str, A
         'seconds': drive_seconds(sequence),
         'facts': [] if sequence.lead is None else _facts(sequence, sequence.lead),
         'pictures': list(sequence_pictures(sequence, contents.strategies, number)),
-        'graphs': list(graph_pictures(sequence, number)),
-        'stretch': '' if sequence.lead is None else stretch_text(sequence),
+        'stretches': list(graph_stretches(sequence, number)),
         'failures': [
             (strategy, reason)
             for name, strategy, reason in words.failures(contents)
