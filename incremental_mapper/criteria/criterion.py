@@ -1,8 +1,8 @@
 """What makes one candidate better than another: the protocol, and the registry of strategies."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from incremental_mapper.criteria.mom import (
     Scene,
     choose_judges,
     direct_score,
-    fast_score,
+    fast_scores,
 )
 from incremental_mapper.errors import ConfigError
 from incremental_mapper.trajectory import NANOSECONDS
@@ -42,6 +42,21 @@ class Criterion(Protocol):
 
     def score(self, proposal: Proposal) -> float:
         """Score of one candidate; not comparable between windows."""
+
+
+@runtime_checkable
+class BatchCriterion(Criterion, Protocol):
+    """A criterion that judges many candidates for less than one by one."""
+
+    def scores(self, proposals: Sequence[Proposal]) -> list[float]:
+        """Scores of the candidates, in their order."""
+
+
+def score_all(criterion: Criterion, proposals: Sequence[Proposal]) -> list[float]:
+    """Scores of a window's candidates, in one go where the criterion can do that."""
+    if isinstance(criterion, BatchCriterion):
+        return criterion.scores(proposals)
+    return [criterion.score(proposal) for proposal in proposals]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,10 +113,17 @@ class Mom:
 
     def score(self, proposal: Proposal) -> float:
         """See Criterion."""
-        if self.judges is None or proposal.poses is None:
-            return TimeShift().score(proposal)
-        score = direct_score if self.direct else fast_score
-        return score(self.judges, proposal.poses, self.scene, self.settings)
+        return self.scores([proposal])[0]
+
+    def scores(self, proposals: Sequence[Proposal]) -> list[float]:
+        """See BatchCriterion."""
+        poses = [proposal.poses for proposal in proposals if proposal.poses is not None]
+        if self.judges is None or len(poses) < len(proposals):
+            return [TimeShift().score(proposal) for proposal in proposals]
+        if not self.direct:
+            found = fast_scores(self.judges, np.array(poses), self.scene, self.settings)
+            return [float(score) for score in found]
+        return [direct_score(self.judges, pose, self.scene, self.settings) for pose in poses]
 
 
 def _make_mom(scene: Scene | None, settings: MomSettings, direct: bool) -> Criterion:

@@ -1,9 +1,10 @@
 """The Mutually Orthogonal Metric of a window's candidates (paper, section Evaluation Metric).
 
 The judging points and their neighbourhoods are found once per window, at the poses of one
-candidate. Each scan's part of a neighbourhood is kept as its homogeneous moment Σ p̃ p̃ᵀ in the
-scan's own frame; under a pose T it becomes T M Tᵀ, so a candidate's covariances follow from the
-moments and its poses. ``direct_score`` searches the neighbourhoods again instead.
+candidate. Each scan's part of a neighbourhood is kept as its homogeneous moment Σ p̃ p̃ᵀ; under a
+motion T it becomes T M Tᵀ, which is linear in M. One matrix product thus moves the moments of all
+neighbourhoods for many candidates at once; neighbours that come or go are corrected one by one.
+``direct_score`` searches the neighbourhoods of each candidate again, by other means.
 """
 
 from collections.abc import Sequence
@@ -11,24 +12,25 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from incremental_mapper.config import MomSettings
-from incremental_mapper.criteria.neighbourhoods import (
-    Pairs,
-    Shell,
-    find_pairs,
-    outer_products,
-    sum_moments,
-)
-from incremental_mapper.criteria.planes import (
+from incremental_mapper.criteria.eigen import full_matrices, smallest_eigen
+from incremental_mapper.criteria.moments import (
+    COUNT,
+    NUMBERS,
     covariances,
-    orthogonal_families,
-    smallest_eigenvalues,
-    spread_positions,
+    products,
+    sum_products,
+    transfers,
 )
-from incremental_mapper.geometry import transform_points
+from incremental_mapper.criteria.neighbourhoods import RowIndex
+from incremental_mapper.criteria.planes import orthogonal_families, spread_positions
+from incremental_mapper.criteria.shell import ROUNDING, Shell, drifts, squared_lengths
 
 PLANE_VARIANCE = 'plane_variance'
+BATCH = 32
+"""Candidates that are scored together; it bounds the memory that they take."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,16 +39,14 @@ class Scene:
 
     ``fixed`` are points (F, 3) of recent scans, already placed in the map. ``moving`` are the
     scans (N_s, 3) in base_link whose poses differ between candidates; the first ``fresh`` of them
-    are the window's new scans. ``reference`` (S, 4, 4) are their poses T_map_base in one
-    candidate, and ``margin`` bounds, in metres, how far another candidate moves two points
-    against each other. ``origin`` (3,) is a place near the car: numbers relative to it keep the
-    moments exact.
+    are the window's new scans. ``poses`` (C, S, 4, 4) are their T_map_base in the candidates that
+    will be judged; the first candidate is the reference. ``origin`` (3,) is a place near the car:
+    numbers relative to it keep the moments exact.
     """
 
     fixed: NDArray[np.float64]
     moving: Sequence[NDArray[np.float64]]
-    reference: NDArray[np.float64]
-    margin: float
+    poses: NDArray[np.float64]
     fresh: int
     origin: NDArray[np.float64]
 
@@ -55,18 +55,22 @@ class Scene:
 class Judges:
     """Judging points of one window.
 
-    ``points`` (P, 3) are in their scan's frame, ``scan`` (P,) is its position in
-    ``Scene.moving``. ``moments`` (1 + S, P, 4, 4) are those of the fixed points, relative to the
-    origin, and of each moving scan in its own frame; ``shell`` holds the pairs near the rim in
-    the same order. ``family`` (P,) is 0, 1 or 2, and ``families`` are those that count.
+    ``points`` (3, P) stand at the reference, relative to the origin; ``scan`` (P,) says whose
+    they are: 0 the fixed points, then the moving scans. ``parts`` (10·(1 + S), P) are the moments
+    of each scan's part of a neighbourhood, at the reference. They hold under any candidate that
+    drifts by no more than ``reach`` (1 + S, P) metres, but for the pairs in ``shell``.
+    ``weights`` (P,) of the judges make the mean over families of the mean in each; ``families``
+    are those that count, and ``family`` (P,) is 0, 1 or 2.
     """
 
     points: NDArray[np.float64]
     scan: NDArray[np.int64]
-    moments: NDArray[np.float64]
+    parts: NDArray[np.float64]
+    reach: NDArray[np.float64]
     shell: Shell
     family: NDArray[np.int64]
     families: tuple[int, ...]
+    weights: NDArray[np.float64]
     score_name: str
 
 
@@ -75,124 +79,190 @@ def choose_judges(scene: Scene, settings: MomSettings) -> Judges | None:
 
     None where there is no such neighbourhood.
     """
-    relative = _relative(scene.reference, scene.origin)
-    points, owner = _place(scene, relative)
+    points, owner = _place(scene, scene.poses[0])
     fresh = np.flatnonzero((owner >= 1) & (owner <= scene.fresh))
     # Half as many again as are wanted: not every seed turns out to be planar.
     seeds = fresh[spread_positions(len(fresh), settings.max_points * 3 // 2)]
     if len(seeds) == 0:
         return None
-    pairs = find_pairs(points, points[seeds], settings.radius + scene.margin)
-    products = outer_products(points)
-    now = pairs.select(pairs.squares <= settings.radius**2)
-    total = sum_moments(now, products, len(seeds))[0]
-    values, vectors = np.linalg.eigh(covariances(total))
+    queries, scan, scans = points[:, seeds], owner[seeds], len(scene.moving) + 1
+    reach = _reach(_motions(scene, scene.poses), queries, scan, settings.radius)
+    index = RowIndex(points, settings.radius)
+    points, owner = index.points, owner[index.order]
+    numbers, parts, rims = products(points), np.empty((scans, len(seeds), NUMBERS)), []
+    for pairs in index.search(queries, settings.radius + reach.max(axis=0) + ROUNDING):
+        count = len(pairs.queries)
+        # Where the point's scan and the query of a pair stand in tables (1 + S, count).
+        cell = owner[pairs.columns] * count + pairs.rows
+        inside = pairs.squares <= settings.radius**2
+        sums = sum_products(cell, pairs.columns, inside.astype(float), numbers, scans * count)
+        parts[:, pairs.queries] = sums.reshape(scans, count, NUMBERS)
+        margin = (reach[:, pairs.queries] + ROUNDING).ravel()[cell]
+        rim = np.flatnonzero(np.abs(np.sqrt(pairs.squares) - settings.radius) <= margin)
+        rims.append((pairs.queries[pairs.rows[rim]], pairs.columns[rim], inside[rim]))
+    total = parts.sum(axis=0)
     # Alone, a scan has the same planes at any pose.
-    other = now.rows[owner[now.columns] != owner[seeds][now.rows]]
-    planar = (
-        (np.bincount(other, minlength=len(seeds)) > 0)
-        & (total[:, 3, 3] >= settings.min_neighbours)
-        & (values[:, 1] > settings.eigenvalue_ratio * np.maximum(values[:, 0], 0.0))
-    )
-    chosen = np.flatnonzero(planar)
-    if len(chosen) == 0:
+    shared = total[:, COUNT] > parts[scan, np.arange(len(seeds)), COUNT]
+    chosen = np.flatnonzero(shared & (total[:, COUNT] >= settings.min_neighbours))
+    found = smallest_eigen(covariances(total[chosen].T))
+    planar = np.flatnonzero(found.middle > settings.eigenvalue_ratio * found.values)
+    if len(planar) == 0:
         return None
-    families = orthogonal_families(vectors[chosen, :, 0], settings.max_angle)
+    families = orthogonal_families(found.vectors[:, planar].T, settings.max_angle)
     labels, counted, name = _count_families(families.labels, settings)
-    chosen, labels = _thin_families(chosen, labels, counted, settings.max_points)
-    place = np.full(len(seeds), -1)
-    place[chosen] = np.arange(len(chosen))
-    pairs = pairs.select(place[pairs.rows] >= 0)
-    rows = place[pairs.rows]
-    core = pairs.squares <= max(settings.radius - scene.margin, 0.0) ** 2
-    shell = _shell(scene, owner, rows[~core], pairs.columns[~core])
-    sums = sum_moments(
-        Pairs(rows[core], pairs.columns[core], pairs.squares[core]),
-        products,
-        len(chosen),
-        owner,
-        len(relative) + 1,
-    )
-    for scan, pose in enumerate(relative, start=1):
-        back = np.linalg.inv(pose)
-        sums[scan] = back @ sums[scan] @ back.T
-    index = seeds[chosen]
+    kept = _thin_families(labels, counted, settings.max_points)
+    chosen, labels = chosen[planar[kept]], labels[kept]
     return Judges(
-        points=_own_points(scene)[index],
-        scan=owner[index] - 1,
-        moments=sums,
-        shell=shell,
+        points=queries[:, chosen],
+        scan=scan[chosen],
+        parts=parts[:, chosen].transpose(0, 2, 1).reshape(scans * NUMBERS, len(chosen)),
+        reach=reach[:, chosen],
+        shell=_shell(rims, points, owner, queries, chosen),
         family=labels,
         families=counted,
+        weights=1.0 / (np.bincount(labels)[labels] * len(counted)),
         score_name=name,
     )
+
+
+def fast_scores(
+    judges: Judges, poses: NDArray[np.float64], scene: Scene, settings: MomSettings
+) -> NDArray[np.float64]:
+    """MOM in m^2 (C,) of candidates with the moving scans at ``poses`` (C, S, 4, 4).
+
+    The values are those of ``direct_score``. Candidates that drift beyond the judges' reach are
+    indeed searched again.
+    """
+    scores = np.empty(len(poses))
+    for start in range(0, len(poses), BATCH):
+        some = poses[start : start + BATCH]
+        motions = _motions(scene, some)
+        drift = drifts(motions, judges.points, judges.scan)
+        allowed = np.square(judges.reach + 0.1 * ROUNDING)
+        near = (squared_lengths(drift) <= allowed).all(axis=(1, 2))
+        values = np.empty(len(some))
+        if near.any():
+            values[near] = _moved_scores(judges, motions[near], drift[:, near], settings)
+        for far in np.flatnonzero(~near):
+            values[far] = direct_score(judges, some[far], scene, settings)
+        scores[start : start + BATCH] = values
+    return scores
 
 
 def fast_score(
     judges: Judges, poses: NDArray[np.float64], scene: Scene, settings: MomSettings
 ) -> float:
     """MOM in m^2 of the moving scans at ``poses`` (S, 4, 4), from the judges' moments."""
-    relative = _relative(poses, scene.origin)
-    total = judges.moments[0].copy()
-    for pose, moments in zip(relative, judges.moments[1:], strict=True):
-        total += pose @ moments @ pose.T
-    everyone = np.concatenate([np.eye(4)[None], relative])
-    total += judges.shell.moments(everyone, _queries(judges, relative), settings.radius)
-    return _mean_over_families(judges, smallest_eigenvalues(covariances(total)))
+    return float(fast_scores(judges, poses[None], scene, settings)[0])
 
 
 def direct_score(
     judges: Judges, poses: NDArray[np.float64], scene: Scene, settings: MomSettings
 ) -> float:
-    """The same value with the neighbourhoods searched again at ``poses``."""
-    relative = _relative(poses, scene.origin)
-    points, _ = _place(scene, relative)
-    queries = _queries(judges, relative)
-    pairs = find_pairs(points, queries, settings.radius)
-    moments = sum_moments(pairs, outer_products(points), len(queries))[0]
-    return _mean_over_families(judges, smallest_eigenvalues(covariances(moments)))
+    """The same value with the neighbourhoods searched again at ``poses`` (S, 4, 4)."""
+    points = _place(scene, poses)[0].T
+    motions = _motions(scene, poses[None])[0][judges.scan]
+    queries = np.einsum('pij,jp->pi', motions[:, :3, :3], judges.points) + motions[:, :3, 3]
+    # An unbalanced tree is built in half the time and is asked only once.
+    tree = KDTree(points, leafsize=24, balanced_tree=False, compact_nodes=False)
+    found = tree.query_ball_point(queries, settings.radius, return_sorted=False)
+    rows = np.repeat(np.arange(len(found)), [len(near) for near in found])
+    columns = np.concatenate([np.asarray(near, dtype=np.int64) for near in found])
+    numbers = sum_products(
+        rows, columns, np.ones(len(rows)), products(np.ascontiguousarray(points.T)), len(found)
+    )
+    variances = np.linalg.eigvalsh(full_matrices(covariances(numbers.T)))[:, 0]
+    return float(np.maximum(variances, 0.0) @ judges.weights)
+
+
+def _moved_scores(
+    judges: Judges,
+    motions: NDArray[np.float64],
+    drift: NDArray[np.float64],
+    settings: MomSettings,
+) -> NDArray[np.float64]:
+    """Scores (C,) of candidates within reach."""
+    count, scans = motions.shape[:2]
+    # (10·C, 10·S): all candidates' numbers of the whole neighbourhood from those of its parts.
+    moving = transfers(motions).transpose(2, 0, 1, 3).reshape(NUMBERS * count, scans * NUMBERS)
+    numbers = (moving @ judges.parts).reshape(NUMBERS, count, -1)
+    numbers += judges.shell.flips(motions, drift, settings.radius)
+    found = smallest_eigen(covariances(numbers.reshape(NUMBERS, -1)))
+    scores: NDArray[np.float64] = found.values.reshape(count, -1) @ judges.weights
+    return scores
 
 
 def _relative(poses: NDArray[np.float64], origin: NDArray[np.float64]) -> NDArray[np.float64]:
     moved = np.array(poses, dtype=np.float64)
-    moved[:, :3, 3] -= origin
+    moved[..., :3, 3] -= origin
     return moved
 
 
 def _place(
-    scene: Scene, relative: NDArray[np.float64]
+    scene: Scene, poses: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """All points (N, 3) relative to the origin, and whose they are: 0 fixed, 1.. moving."""
-    clouds = [
-        transform_points(pose, cloud) for pose, cloud in zip(relative, scene.moving, strict=True)
-    ]
-    points = np.vstack([scene.fixed - scene.origin, *clouds])
-    sizes = [len(scene.fixed), *(len(cloud) for cloud in clouds)]
-    return points, np.repeat(np.arange(len(sizes)), sizes)
+    """All points (3, N) relative to the origin, and whose they are: 0 fixed, 1.. moving."""
+    clouds = [(scene.fixed - scene.origin).T]
+    for pose, cloud in zip(_relative(poses, scene.origin), scene.moving, strict=True):
+        clouds.append(pose[:3, :3] @ cloud.T + pose[:3, 3:])
+    sizes = [cloud.shape[1] for cloud in clouds]
+    return np.hstack(clouds), np.repeat(np.arange(len(sizes)), sizes)
 
 
-def _own_points(scene: Scene) -> NDArray[np.float64]:
-    """All points in the frame that moves them; the fixed ones relative to the origin."""
-    return np.vstack([scene.fixed - scene.origin, *scene.moving])
+def _motions(scene: Scene, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    """How candidates (C, S, 4, 4) move fixed and moving points, (C, 1 + S, 4, 4).
+
+    From where they stand at the reference, relative to the origin.
+    """
+    reference = _relative(scene.poses[0], scene.origin)
+    back = np.swapaxes(reference[:, :3, :3], -1, -2)
+    moved = _relative(poses, scene.origin)
+    motions = np.zeros((len(poses), len(reference) + 1, 4, 4))
+    motions[:, 0] = np.eye(4)
+    turns = moved[:, :, :3, :3] @ back
+    motions[:, 1:, :3, :3] = turns
+    motions[:, 1:, :3, 3:] = moved[:, :, :3, 3:] - turns @ reference[:, :3, 3:]
+    motions[:, 1:, 3, 3] = 1.0
+    return motions
+
+
+def _reach(
+    motions: NDArray[np.float64],
+    queries: NDArray[np.float64],
+    scan: NDArray[np.int64],
+    limit: float,
+) -> NDArray[np.float64]:
+    """Largest drifts (1 + S, Q) of the candidates that drift by no more than ``limit`` metres.
+
+    The others would make shells that cost more than to search again for them alone.
+    """
+    found = squared_lengths(drifts(motions, queries, scan))
+    near = found.max(axis=(1, 2)) <= limit**2
+    largest: NDArray[np.float64] = np.sqrt(found[near].max(axis=0, initial=0.0))
+    return largest
 
 
 def _shell(
-    scene: Scene,
+    rims: Sequence[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]],
+    points: NDArray[np.float64],
     owner: NDArray[np.int64],
-    rows: NDArray[np.int64],
-    columns: NDArray[np.int64],
+    queries: NDArray[np.float64],
+    chosen: NDArray[np.int64],
 ) -> Shell:
-    order = np.argsort(owner[columns], kind='stable')
-    rows, columns = rows[order], columns[order]
-    starts = np.searchsorted(owner[columns], np.arange(len(scene.moving) + 2))
-    return Shell(rows=rows, points=_own_points(scene)[columns], starts=starts)
-
-
-def _queries(judges: Judges, relative: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Where the judging points are, (P, 3) relative to the origin."""
-    poses = relative[judges.scan]
-    turned: NDArray[np.float64] = np.einsum('pij,pj->pi', poses[:, :3, :3], judges.points)
-    return turned + poses[:, :3, 3]
+    """The shell of the chosen queries; ``rims`` are query, point and inside of pairs."""
+    query, point, inside = (np.concatenate(parts) for parts in zip(*rims, strict=True))
+    place = np.full(queries.shape[1], -1)
+    place[chosen] = np.arange(len(chosen))
+    kept = np.flatnonzero(place[query] >= 0)
+    query, point, inside = query[kept], point[kept], inside[kept]
+    near = points[:, point]
+    return Shell(
+        judge=place[query],
+        scan=owner[point],
+        points=near,
+        apart=near - queries[:, query],
+        inside=inside,
+    )
 
 
 def _count_families(
@@ -207,22 +277,12 @@ def _count_families(
 
 
 def _thin_families(
-    chosen: NDArray[np.int64],
-    labels: NDArray[np.int64],
-    counted: tuple[int, ...],
-    max_points: int,
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """At most ``max_points`` judges, shared evenly between the families."""
+    labels: NDArray[np.int64], counted: tuple[int, ...], max_points: int
+) -> NDArray[np.int64]:
+    """Positions of at most ``max_points`` judges, ascending, shared evenly between families."""
     share = max(max_points // len(counted), 1)
     picks = []
     for family in counted:
         members = np.flatnonzero(labels == family)
         picks.append(members[spread_positions(len(members), share)])
-    pick = np.concatenate(picks)
-    return chosen[pick], labels[pick]
-
-
-def _mean_over_families(judges: Judges, variances: NDArray[np.float64]) -> float:
-    """Paper, equation for E_MOM: the mean over families of their mean plane variance."""
-    means = [float(variances[judges.family == family].mean()) for family in judges.families]
-    return float(np.mean(means))
+    return np.sort(np.concatenate(picks))

@@ -17,22 +17,6 @@ class Families:
     labels: NDArray[np.int64]
 
 
-def covariances(moments: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Covariances (K, 3, 3) in m^2 of homogeneous moments (K, 4, 4), Σ p̃ p̃ᵀ with p̃ = (p, 1)."""
-    counts = np.maximum(moments[:, 3, 3], 1.0)[:, None]
-    means = moments[:, :3, 3] / counts
-    spread: NDArray[np.float64] = (
-        moments[:, :3, :3] / counts[:, :, None] - means[:, :, None] * means[:, None, :]
-    )
-    return spread
-
-
-def smallest_eigenvalues(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Smallest eigenvalue (K,) of symmetric matrices (K, 3, 3), never below zero."""
-    values: NDArray[np.float64] = np.maximum(np.linalg.eigvalsh(matrices)[:, 0], 0.0)
-    return values
-
-
 def orthogonal_families(normals: NDArray[np.float64], max_angle: float) -> Families:
     """Sort unit normals (K, 3) into three mutually orthogonal families.
 
@@ -51,8 +35,8 @@ def orthogonal_families(normals: NDArray[np.float64], max_angle: float) -> Famil
     if len(across) == 0:
         across = _any_across(first)[None, :]
     third = np.cross(first, across)
-    votes = (np.abs(across @ normals.T) > limit).sum(axis=1)
-    votes += (np.abs(third @ normals.T) > limit).sum(axis=1)
+    both = np.abs(np.vstack([across, third]) @ normals.T) > limit
+    votes = both.sum(axis=1).reshape(2, -1).sum(axis=0)
     best = int(votes.argmax())
     axes = np.stack([first, across[best], third[best]])
     match = np.abs(normals @ axes.T)

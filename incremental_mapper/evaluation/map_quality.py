@@ -14,12 +14,10 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from incremental_mapper.config import MomSettings
-from incremental_mapper.criteria.neighbourhoods import find_pairs, outer_products, sum_moments
-from incremental_mapper.criteria.planes import (
-    covariances,
-    smallest_eigenvalues,
-    spread_positions,
-)
+from incremental_mapper.criteria.eigen import smallest_eigen
+from incremental_mapper.criteria.moments import COUNT, covariances
+from incremental_mapper.criteria.neighbourhoods import moments_around
+from incremental_mapper.criteria.planes import spread_positions
 from incremental_mapper.evaluation.finished import FinishedRun
 from incremental_mapper.geometry import transform_points
 from incremental_mapper.trajectory import Trajectory
@@ -75,9 +73,9 @@ def planar_places(points: NDArray[np.float64], settings: MomSettings) -> NDArray
     """Points (P, 3) of a map (N, 3) whose neighbourhoods are planar."""
     places = points[spread_positions(len(points), PLACES)]
     counts, spread = _neighbourhoods(points, places, settings.radius)
-    values = np.linalg.eigvalsh(spread)
+    found = smallest_eigen(spread)
     planar = (counts >= settings.min_neighbours) & (
-        values[:, 1] > settings.eigenvalue_ratio * np.maximum(values[:, 0], 0.0)
+        found.middle > settings.eigenvalue_ratio * found.values
     )
     chosen: NDArray[np.float64] = places[planar]
     return chosen
@@ -94,7 +92,7 @@ def plane_variance(
         return None
     counts, spread = _neighbourhoods(points, places, settings.radius)
     enough = counts >= settings.min_neighbours
-    return float(smallest_eigenvalues(spread[enough]).mean()) if enough.any() else None
+    return float(smallest_eigen(spread[:, enough]).values.mean()) if enough.any() else None
 
 
 def fit_poses(estimate: Trajectory, target: Trajectory) -> NDArray[np.float64]:
@@ -117,8 +115,7 @@ def fit_poses(estimate: Trajectory, target: Trajectory) -> NDArray[np.float64]:
 def _neighbourhoods(
     points: NDArray[np.float64], places: NDArray[np.float64], radius: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Numbers of neighbours (P,) and covariances (P, 3, 3) of ``places``."""
+    """Numbers of neighbours (P,) and covariances (6, P) of ``places``."""
     centre = places.mean(axis=0)  # near numbers keep the moments exact
-    pairs = find_pairs(points - centre, places - centre, radius)
-    moments = sum_moments(pairs, outer_products(points - centre), len(places))[0]
-    return moments[:, 3, 3], covariances(moments)
+    moments = moments_around(points - centre, places - centre, radius)
+    return moments[COUNT], covariances(moments)

@@ -15,11 +15,6 @@ from incremental_mapper.mapper.front_end import Prepared, PreparedScan
 from incremental_mapper.mapper.local_graph import WindowFactors, WindowInputs
 from incremental_mapper.mapper.state import GraphState, PlacedScan
 
-_CORNERS = np.array([[x, y, z] for x in (-20.0, 20.0) for y in (-20.0, 20.0) for z in (-3.0, 3.0)])
-"""Corners, in metres, of the box that holds most of a scene's judging points."""
-MARGINS = (0.01, 0.3)
-"""Least and largest margin in metres; a larger one would put whole neighbourhoods in the shell."""
-
 
 class SceneBuilder:
     """Places a window's scans among the recent ones of G(t-1).
@@ -45,7 +40,10 @@ class SceneBuilder:
         self._settled = [scan for scan in last if not state.in_lag(scan[0].cluster)]
 
     def scene(self, poses: Sequence[NDArray[np.float64]]) -> Scene:
-        """The scene for candidates with these ``poses`` (S, 4, 4) of the moving scans."""
+        """The scene for candidates with these ``poses`` (S, 4, 4) of the moving scans.
+
+        The first candidate is the reference.
+        """
         states = self._inputs.states
         voxel = self._inputs.config.mom.voxel_size
         settled = [
@@ -56,8 +54,7 @@ class SceneBuilder:
         return Scene(
             fixed=thin(np.vstack([np.zeros((0, 3)), *settled]), voxel),
             moving=moving,
-            reference=poses[0],
-            margin=_margin(poses, bool(self._settled)),
+            poses=np.array(poses),
             fresh=len(self._new),
             origin=states[max(states)].pose.translation(),
         )
@@ -88,25 +85,3 @@ class SceneBuilder:
 
     def _pose(self, scan: PlacedScan) -> gtsam.Pose3:
         return self._state.pose(scan.cluster).compose(scan.T_cluster_scan)
-
-
-def _margin(poses: Sequence[NDArray[np.float64]], settled: bool) -> float:
-    """How far, in metres, any candidate moves two scans against each other near the car.
-
-    What moves all scans alike changes no neighbourhood, unless there are ``settled`` ones that
-    stay. The motion is affine in the place, so the corners of a box around the car tell the
-    largest one.
-    """
-    reference = poses[0]
-    centre = reference[0, :3, 3]
-    corners = np.append(centre + _CORNERS, np.ones((len(_CORNERS), 1)), axis=1)
-    back = np.linalg.inv(reference)
-    largest = 0.0
-    for other in poses[1:]:
-        motions = other @ back
-        if settled:
-            motions = np.concatenate([motions, np.eye(4)[None]])
-        moved = np.einsum('sij,cj->sci', motions, corners)[:, :, :3]
-        spans = moved.max(axis=0) - moved.min(axis=0)
-        largest = max(largest, float(np.linalg.norm(spans, axis=1).max()))
-    return float(np.clip(largest, *MARGINS))
