@@ -92,7 +92,8 @@ def write_record(evaluation: Evaluation) -> Path:
 def entries(evaluation: Evaluation, by_motion: bool) -> list[Entry]:
     """The table's entries: whole drives, or the pieces of each motion.
 
-    A failed job has an entry without numbers, which goes with each motion of its sequence.
+    Motion by motion in the paper's order. A failed job has an entry without numbers, which goes
+    with each motion of its sequence.
     """
     made = []
     for outcome, found in zip(evaluation.outcomes, evaluation.found, strict=True):
@@ -107,7 +108,8 @@ def entries(evaluation: Evaluation, by_motion: bool) -> list[Entry]:
         for motion in choice:
             metrics = {} if motion is None else found.by_motion.get(motion, {})
             made.append(Entry(job.sequence, motion, job.strategy, metrics, outcome.error))
-    return made
+    order = [*Motion, None]
+    return sorted(made, key=lambda entry: order.index(entry.motion))
 
 
 def _tree(evaluation: Evaluation) -> dict[str, Any]:

@@ -71,14 +71,14 @@ def markdown_table(table: Table) -> str:
     """The table in Markdown: best bold, second best in italics."""
     lines = []
     for block in table.blocks:
+        if block.title:
+            lines += [f'### {block.title}', '']
         for group in _groups(block.columns, SIDE_BY_SIDE):
             heads = [
                 (f'**{_markdown(column.title)}**<br>' if index == 0 else '') + spaced(name)
                 for column in group
                 for index, name in enumerate(table.strategies)
             ]
-            if block.title:
-                lines += [f'### {block.title}', '']
             lines.append('| ' + ' | '.join(['', *heads]) + ' |')
             lines.append('|---|' + '--:|' * len(heads))
             for index, row in enumerate(ROWS):
