@@ -1,12 +1,20 @@
 """Scan matching recovers known motions, and the front end counts what it cannot match."""
 
+import pickle
+from collections import Counter
+
 import gtsam
 import numpy as np
 import pytest
+import small_gicp
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from incremental_mapper.config import OdometryMethod, OdometrySettings, make_config
+from incremental_mapper.frontend.clouds import Sweep, Twist, deskew, thin, to_base, voxel_means
 from incremental_mapper.frontend.odometry import make_matcher
-from incremental_mapper.mapper.front_end import FrontEnd, PreparedFix, PreparedScan
+from incremental_mapper.mapper.front_end import FrontEnd, PreparedFix, PreparedScan, ScanPreparer
 from incremental_mapper.measurements import FixStatus, GnssFix, LidarScan
 
 SECOND = 1_000_000_000
@@ -75,6 +83,71 @@ def test_standing_car_does_not_move(method):
         match = matcher.match(room(seed=i), gtsam.Pose3())
         if i:
             assert_close(match.T_previous_current, gtsam.Pose3(), 0.05, 0.005)
+
+
+# Clouds.
+
+component = st.floats(-30.0, 30.0)
+
+
+@settings(deadline=None)
+@given(
+    linear=st.tuples(component, component, component),
+    angular=st.one_of(
+        st.tuples(component, component, component),
+        st.tuples(*[st.floats(-1e-9, 1e-9)] * 3),
+    ),
+    moment=st.floats(-0.2, 0.2),
+    seed=st.integers(0, 1000),
+)
+def test_deskewing_is_the_rotation_and_the_translation_since_the_moment(
+    linear, angular, moment, seed
+):
+    rng = np.random.default_rng(seed)
+    rows, times = rng.uniform(-80.0, 80.0, (3, 40)), rng.uniform(-0.2, 0.2, 40)
+    twist = Twist(np.array(linear), np.array(angular))
+    found = deskew(Sweep(EPOCH, 'left', rows, times), twist, moment)
+    since = (times - moment)[:, None]
+    expected = Rotation.from_rotvec(since * twist.angular).apply(rows.T) + since * twist.linear
+    assert found == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize('scale', [1.0, 1e7], ids=['numbered_voxels', 'too_many_voxels_to_number'])
+def test_thinned_points_are_the_means_of_their_voxels(scale):
+    points = np.vstack([room(3000), room(20, seed=1) * scale])
+    found = {tuple(np.floor(point / 0.5)): point for point in thin(points, 0.5)}
+    cells = np.floor(points / 0.5)
+    assert set(found) == set(map(tuple, cells))
+    for cell, point in found.items():
+        assert point == pytest.approx(points[(cells == cell).all(axis=1)].mean(axis=0), rel=1e-12)
+
+
+def test_thinning_agrees_with_the_sampler_of_small_gicp_and_takes_further_rows_along():
+    points = room(3000)
+    expected = small_gicp.voxelgrid_sampling(points, 0.7).points()[:, :3]
+    means = voxel_means(np.vstack([points.T, points[:, 0] * 2.0]), 0.7)
+    order, other = (np.lexsort(table.T) for table in (means[:3].T, expected))
+    assert means[:3].T[order] == pytest.approx(expected[other], abs=1e-9)
+    assert means[3] == pytest.approx(means[0] * 2.0)
+
+
+def test_nothing_is_thinned_to_nothing():
+    assert thin(np.zeros((0, 3)), 0.5).shape == (0, 3)
+
+
+def test_deskewing_thinned_points_is_thinning_deskewed_ones_to_a_few_millimetres():
+    rng = np.random.default_rng(3)
+    # Neighbours of all times, as where a sweep's start meets its end, in a fast bend.
+    points, times = room(3000).astype(np.float32), rng.uniform(-0.1, 0.0, 3000).astype(np.float32)
+    twist = Twist(np.array([15.0, 0.0, 0.0]), np.array([0.0, 0.0, 0.5]))
+    raw = to_base(LidarScan(EPOCH, 'left', points, times), np.eye(4), 0.0, 80.0, 1e-3)
+    sweep = to_base(LidarScan(EPOCH, 'left', points, times), np.eye(4), 0.0, 80.0, 0.2)
+    exact = deskew(raw, twist, 0.0)
+    cells, own = np.floor(raw.rows.T / 0.2), np.floor(sweep.rows.T / 0.2)
+    for cell, point in zip(own, deskew(sweep, twist, 0.0), strict=True):
+        mates = exact[(cells == cell).all(axis=1)]
+        if len(mates):
+            assert np.linalg.norm(point - mates.mean(axis=0)) < 0.005
 
 
 # The front end.
@@ -259,6 +332,28 @@ def test_fixes_are_placed_around_the_first_one_used_and_the_unusable_are_counted
     assert found[1].enu[1] == pytest.approx(11.1, abs=0.1)
     assert end.drops == {('gps', 'low_status'): 1}
     assert end.datum.latitude == 36.0001
+
+
+def test_coarse_map_takes_nothing_from_the_matching():
+    end = FrontEnd(make_config({'map': {'voxel_size': 3.0}, 'lidars': {'left': {}}}))
+    found = drive(end, [0.0, 0.1, 0.2, 0.3])
+    for item in found[1:]:
+        assert_close(item.T_previous_current, STEP, 0.03, 0.003)
+    cells = np.floor(found[3].thinned / 3.0)
+    assert len(np.unique(cells, axis=0)) == len(cells)
+
+
+def test_scans_of_a_lidar_can_be_prepared_in_another_process():
+    config = make_config({'lidars': {'left': {}}})
+    here, there = (ScanPreparer('left', config, Counter()) for _ in range(2))
+    for i, pose in enumerate(poses(3)):
+        raw = scan(i / 10, seen_from(pose, room(seed=i)))
+        expected = here.prepare(raw)
+        found = pickle.loads(pickle.dumps(there.prepare(pickle.loads(pickle.dumps(raw)))))
+        assert np.array_equal(found.thinned, expected.thinned)
+        assert found.core == expected.core
+        assert found.previous == expected.previous
+    assert found.T_previous_current.equals(expected.T_previous_current, 1e-12)
 
 
 def test_empty_window_prepares_nothing():

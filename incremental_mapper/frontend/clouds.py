@@ -1,29 +1,37 @@
-"""From a raw scan to points in base_link: range gate, deskewing, thinning."""
+"""From a raw scan to points in base_link: range gate, thinning, deskewing.
+
+Coordinates are kept in rows, (3, N): NumPy works several times as fast along them.
+"""
 
 from dataclasses import dataclass
 
 import gtsam
 import numpy as np
-import small_gicp
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from incremental_mapper.geometry import transform_points
 from incremental_mapper.measurements import LidarScan
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BaseScan:
-    """A scan in base_link ``moment`` seconds after its stamp.
+class Sweep:
+    """A thinned scan in base_link; each point is where it was seen when it was fired.
 
-    ``points`` (N, 3) and ``thinned`` (M, 3) are in metres.
+    ``rows`` (3, N) are x, y, z in metres; ``times`` (N,) are seconds after the stamp, None where
+    they are not known or not wanted.
     """
 
     stamp: int
     sensor: str
-    points: NDArray[np.float64]
-    thinned: NDArray[np.float64]
-    moment: float = 0.0
+    rows: NDArray[np.float64]
+    times: NDArray[np.float64] | None = None
+
+    def __len__(self) -> int:
+        return int(self.rows.shape[1])
+
+    @property
+    def middle(self) -> float:
+        """Seconds from the stamp to the middle of the sweep; 0 without times."""
+        return 0.0 if self.times is None or len(self) == 0 else float(self.times.mean())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,30 +55,77 @@ def to_base(
     min_range: float,
     max_range: float,
     voxel_size: float,
-    twist: Twist | None,
-    at_stamp: bool = True,
-) -> BaseScan:
-    """Move a scan into base_link and thin it; ranges in metres from the LiDAR.
+    with_times: bool = True,
+) -> Sweep:
+    """Move a scan into base_link and thin it; ranges, in metres, are from the LiDAR.
 
-    Where the scan has per-point times and a ``twist`` is given, each point is moved to where
-    base_link saw it at the scan's stamp, or else at the middle of the sweep: there an error of
-    the twist blurs the cloud but does not shift it.
+    A thinned point has the mean time of the points that it stands for. Deskewing is linear in
+    the points and, within a voxel, in their times, so the point is deskewed to their mean.
     """
-    ranges = np.linalg.norm(scan.points.astype(np.float64), axis=1)
-    keep = (ranges >= min_range) & (ranges <= max_range)
-    points = transform_points(T_base_lidar, scan.points[keep].astype(np.float64))
-    moment = 0.0
-    if twist is not None and scan.point_times is not None and len(points):
-        times = scan.point_times[keep].astype(np.float64)[:, None]
-        moment = 0.0 if at_stamp else float(times.mean())
-        times -= moment
-        points = Rotation.from_rotvec(times * twist.angular).apply(points) + times * twist.linear
-    return BaseScan(scan.stamp, scan.sensor, points, thin(points, voxel_size), moment)
+    # A float32 resolves 80 m to 8 um, the sensor resolves 2 mm.
+    matrix = T_base_lidar.astype(np.float32)
+    rows = matrix[:3, :3] @ scan.points.T
+    squares = (rows * rows).sum(axis=0)
+    keep = np.flatnonzero((squares >= min_range**2) & (squares <= max_range**2))
+    rows = rows.take(keep, axis=1) + matrix[:3, 3:]
+    if scan.point_times is None or not with_times:
+        return Sweep(scan.stamp, scan.sensor, voxel_means(rows, voxel_size))
+    means = voxel_means(np.vstack([rows, scan.point_times[keep]]), voxel_size)
+    return Sweep(scan.stamp, scan.sensor, means[:3], means[3])
+
+
+def deskew(sweep: Sweep, twist: Twist, moment: float) -> NDArray[np.float64]:
+    """The points (N, 3) as base_link would have seen them ``moment`` seconds after the stamp.
+
+    A sweep without times stays as it is.
+    """
+    if sweep.times is None:
+        return sweep.rows.T
+    times = sweep.times - moment
+    # Rodrigues: p + sin(at)/a (w x p) + (1 - cos(at))/a^2 (w x (w x p)), also where a is zero.
+    cross = gtsam.Rot3.Hat(twist.angular)
+    half = float(np.linalg.norm(twist.angular)) / (2.0 * np.pi)
+    once = times * np.sinc(2.0 * half * times)
+    twice = 0.5 * (times * np.sinc(half * times)) ** 2
+    moved = sweep.rows + once * (cross @ sweep.rows) + twice * (cross @ cross @ sweep.rows)
+    moved += times * twist.linear[:, None]
+    deskewed: NDArray[np.float64] = moved.T
+    return deskewed
 
 
 def thin(points: NDArray[np.float64], voxel_size: float) -> NDArray[np.float64]:
-    """One mean point per voxel, (M, 3)."""
-    if len(points) == 0:
-        return points
-    thinned: NDArray[np.float64] = small_gicp.voxelgrid_sampling(points, voxel_size).points()
-    return thinned[:, :3]
+    """One mean point per voxel, (M, 3), for points (N, 3)."""
+    return np.ascontiguousarray(voxel_means(points.T, voxel_size).T)
+
+
+def voxel_means(rows: NDArray[np.floating], voxel_size: float) -> NDArray[np.float64]:
+    """Means (C, M) over the columns of ``rows`` (C, N) that fall into the same voxel.
+
+    The first three rows are x, y, z; the others are averaged along.
+    """
+    count = rows.shape[1]
+    if count == 0:
+        return np.zeros(rows.shape)
+    cells = np.floor(rows[:3] * rows.dtype.type(1.0 / voxel_size))
+    cells -= cells.min(axis=1, keepdims=True)
+    sizes = cells.max(axis=1).astype(np.float64) + 1.0
+    bits = count.bit_length()
+    if sizes.prod() < 2.0 ** min(53, 63 - bits):
+        # A voxel's number and a column's index share an integer: sorting values is several
+        # times as fast as sorting indices. Doubles number the voxels exactly up to 2^53.
+        numbers = (cells[0] * sizes[1] + cells[1]) * sizes[2] + cells[2]
+        keys = numbers.astype(np.int64) << bits
+        keys |= np.arange(count)
+        keys.sort()
+        order = keys & ((1 << bits) - 1)
+        keys >>= bits
+        new = keys[1:] != keys[:-1]
+    else:
+        order = np.lexsort(cells[::-1])
+        cells = cells[:, order]
+        new = (cells[:, 1:] != cells[:, :-1]).any(axis=0)
+    voxels = np.zeros(count, dtype=np.int64)
+    np.cumsum(new, out=voxels[1:])
+    sums = np.stack([np.bincount(voxels, weights=row[order]) for row in rows])
+    means: NDArray[np.float64] = sums / np.bincount(voxels)
+    return means

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from incremental_mapper.candidates.clusters import CoreKind, CoreMeasurement
 from incremental_mapper.config import Config
 from incremental_mapper.errors import MeasurementError
-from incremental_mapper.frontend.clouds import BaseScan, Twist, thin, to_base
+from incremental_mapper.frontend.clouds import thin, to_base
 from incremental_mapper.frontend.geodesy import Datum, checked_covariance
 from incremental_mapper.mapper.lidar_chain import LidarChain
 from incremental_mapper.measurements import Drops, GnssFix, LidarScan
@@ -47,14 +47,62 @@ class PreparedFix:
 
 Prepared: TypeAlias = PreparedScan | PreparedFix
 
+MATCHING_SHARE = 0.3
+"""Scans are thinned for the map before they are thinned again for matching: at most to this
+share of the matcher's voxels, or a coarse map would cost odometry."""
+
+
+class ScanPreparer:
+    """Thins, matches and deskews the scans of one LiDAR, in their order.
+
+    It knows nothing of other sensors: what it takes and gives can be pickled, so it may as well
+    live in a process of its own.
+    """
+
+    def __init__(self, name: str, config: Config, notes: Counter[str]) -> None:
+        """Make ready for the LiDAR ``name``; ``notes`` counts what was used, but not in full."""
+        lidar = config.lidars.get(name)
+        self._odometry = config.odometry
+        self._T_base_lidar = np.eye(4) if lidar is None else lidar.matrix()
+        self._map_voxel = config.map.voxel_size
+        self._sparse_voxel = config.mom.voxel_size
+        self._voxel = min(self._map_voxel, MATCHING_SHARE * config.odometry.voxel_size)
+        self._chain = LidarChain(name, config.odometry, notes)
+
+    def prepare(self, scan: LidarScan) -> PreparedScan:
+        """The next scan with its odometry; raises MeasurementError where no point is in range."""
+        odometry = self._odometry
+        sweep = to_base(
+            scan,
+            self._T_base_lidar,
+            odometry.min_range,
+            odometry.max_range,
+            self._voxel,
+            odometry.deskew,
+        )
+        if len(sweep) == 0:
+            raise MeasurementError(
+                'no_points_in_range', f'{scan.sensor} at {scan.stamp}: no point within range'
+            )
+        link = self._chain.add(sweep)
+        coarser = self._map_voxel > self._voxel
+        thinned = thin(link.points, self._map_voxel) if coarser else link.points
+        return PreparedScan(
+            core=CoreMeasurement(scan.stamp, scan.sensor, CoreKind.LIDAR),
+            thinned=thinned,
+            sparse=thin(thinned, self._sparse_voxel),
+            previous=link.previous,
+            T_previous_current=link.T_previous_current,
+            usable=link.usable,
+        )
+
 
 class FrontEnd:
     """Scan matching per LiDAR, and fixes in local ENU around the first one used."""
 
     def __init__(self, config: Config) -> None:
         self._config = config
-        self._chains: dict[str, LidarChain] = {}
-        self._T_base_lidar = {name: lidar.matrix() for name, lidar in config.lidars.items()}
+        self._preparers: dict[str, ScanPreparer] = {}
         self.datum: Datum | None = None
         self.drops: Drops = Counter()
         self.notes: Counter[str] = Counter()  # what was used, but not in full
@@ -80,34 +128,8 @@ class FrontEnd:
         return PreparedFix(core, self.datum.enu(fix), covariance)
 
     def _scan(self, scan: LidarScan) -> PreparedScan:
-        chain = self._chains.get(scan.sensor)
-        if chain is None:
-            chain = LidarChain(scan.sensor, self._config.odometry, self._place, self.notes)
-            self._chains[scan.sensor] = chain
-        link = chain.add(scan)
-        if len(link.base.points) == 0:
-            raise MeasurementError(
-                'no_points_in_range', f'{scan.sensor} at {scan.stamp}: no point within range'
-            )
-        thinned = link.base.thinned
-        return PreparedScan(
-            core=CoreMeasurement(scan.stamp, scan.sensor, CoreKind.LIDAR),
-            thinned=thinned,
-            sparse=thin(thinned, self._config.mom.voxel_size),
-            previous=link.previous,
-            T_previous_current=link.T_previous_current,
-            usable=link.usable,
-        )
-
-    def _place(self, scan: LidarScan, twist: Twist, at_stamp: bool) -> BaseScan:
-        """A raw scan in base_link, deskewed by ``twist`` if the settings say so."""
-        settings = self._config.odometry
-        return to_base(
-            scan,
-            self._T_base_lidar.get(scan.sensor, np.eye(4)),
-            settings.min_range,
-            settings.max_range,
-            self._config.map.voxel_size,
-            twist if settings.deskew else None,
-            at_stamp,
-        )
+        preparer = self._preparers.get(scan.sensor)
+        if preparer is None:
+            preparer = ScanPreparer(scan.sensor, self._config, self.notes)
+            self._preparers[scan.sensor] = preparer
+        return preparer.prepare(scan)
