@@ -107,13 +107,18 @@ def compare(wanted: Wanted, rate: float) -> int:
     else:
         say('failed', f'the node does not keep up at {2 * rate:g} times real time either')
         return 1
-    found = compare_graphs(read_graph(saved), read_graph(wanted.made_by_map))
+    return tell(saved, wanted.made_by_map)
+
+
+def tell(saved: Path, made_by_map: Path) -> int:
+    """Say whether two saved maps have the same graph; returns the exit status."""
+    found = compare_graphs(read_graph(saved), read_graph(made_by_map))
     for difference in found.differences:
         say('DIFFERENT', difference)
     if found.differences:
         return 1
     saved = saved.relative_to(Path.cwd()) if saved.is_relative_to(Path.cwd()) else saved
-    say('equal', f'{saved} holds the same graph as {wanted.made_by_map}, which map made:')
+    say('equal', f'{saved} holds the same graph as {made_by_map}, which map made:')
     say('', f'{found.clusters} clusters, {found.variables} variables, {found.factors} factors,')
     say('', f'largest difference of a number {found.worst:.1g} (allowed {TOLERANCE:g})')
     return 0
