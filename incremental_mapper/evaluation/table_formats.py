@@ -91,17 +91,26 @@ def markdown_table(table: Table) -> str:
 
 
 def latex_table(table: Table, caption: str) -> str:
-    """The table as a LaTeX float; best bold, second best underlined."""
-    about = (caption or 'Strategies compared.').translate(LATEX_ESCAPES)
-    lines = [
-        r'% needs \usepackage{adjustbox,booktabs}',
-        r'\begin{table*}[t]',
-        r'\centering',
-        rf'\caption{{{about} Best of a row and sequence in bold, second best underlined.}}',
-        *_latex_tabulars(table),
-        *(f'% {remark}' for remark in table.remarks),
-        r'\end{table*}',
-    ]
+    """The table in LaTeX, a float for every three sequences; best bold, second best underlined.
+
+    One float of everything would be longer than a page.
+    """
+    lines = [r'% needs \usepackage{adjustbox,booktabs}', *(f'% {text}' for text in table.remarks)]
+    for block in table.blocks:
+        about = ', '.join(
+            text for text in ((caption or 'Strategies compared').rstrip('.'), block.title) if text
+        )
+        for group in _groups(block.columns, SIDE_BY_SIDE):
+            lines += [
+                r'\begin{table*}[t]',
+                r'\centering',
+                rf'\caption{{{about.translate(LATEX_ESCAPES)}: best of a row and sequence in bold, '
+                r'second best underlined.}',
+                r'\begin{adjustbox}{max width=\textwidth}',
+                *_latex_tabular(table.strategies, group),
+                r'\end{adjustbox}',
+                r'\end{table*}',
+            ]
     return '\n'.join(lines)
 
 
@@ -110,37 +119,25 @@ def spaced(name: str) -> str:
     return name.replace('_', ' ')
 
 
-def _latex_tabulars(table: Table) -> Iterator[str]:
-    count = len(table.strategies)
-    for block in table.blocks:
-        for group in _groups(block.columns, SIDE_BY_SIDE):
-            yield r'\begin{adjustbox}{max width=\textwidth}'
-            yield rf'\begin{{tabular}}{{l{"r" * count * len(group)}}}'
-            yield r'\toprule'
-            yield _latex_line(
-                [
-                    rf'\textbf{{{block.title}}}' if block.title else '',
-                    *(
-                        rf'\multicolumn{{{count}}}{{c}}{{{column.title.translate(LATEX_ESCAPES)}}}'
-                        for column in group
-                    ),
-                ]
-            )
-            yield ' '.join(
-                rf'\cmidrule(lr){{{2 + index * count}-{1 + (index + 1) * count}}}'
-                for index in range(len(group))
-            )
-            names = [spaced(name).translate(LATEX_ESCAPES) for name in table.strategies]
-            yield _latex_line(['', *names * len(group)])
-            for index, row in enumerate(ROWS):
-                if index in (0, len(PAPER_ROWS)):
-                    yield r'\midrule'
-                cells = [_latex_cell(cell) for column in group for cell in column.cells[index]]
-                yield _latex_line([row.title.translate(LATEX_ESCAPES), *cells])
-            yield r'\bottomrule'
-            yield r'\end{tabular}'
-            yield r'\end{adjustbox}'
-            yield r'\par\medskip'
+def _latex_tabular(strategies: Sequence[str], group: Sequence[Column]) -> Iterator[str]:
+    count = len(strategies)
+    titles = [column.title.translate(LATEX_ESCAPES) for column in group]
+    names = [spaced(name).translate(LATEX_ESCAPES) for name in strategies]
+    yield rf'\begin{{tabular}}{{l{"r" * count * len(group)}}}'
+    yield r'\toprule'
+    yield _latex_line(['', *(rf'\multicolumn{{{count}}}{{c}}{{{title}}}' for title in titles)])
+    yield ' '.join(
+        rf'\cmidrule(lr){{{2 + index * count}-{1 + (index + 1) * count}}}'
+        for index in range(len(group))
+    )
+    yield _latex_line(['', *names * len(group)])
+    for index, row in enumerate(ROWS):
+        if index in (0, len(PAPER_ROWS)):
+            yield r'\midrule'
+        cells = [_latex_cell(cell) for column in group for cell in column.cells[index]]
+        yield _latex_line([row.title.translate(LATEX_ESCAPES), *cells])
+    yield r'\bottomrule'
+    yield r'\end{tabular}'
 
 
 def _latex_line(cells: Sequence[str]) -> str:
