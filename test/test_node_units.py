@@ -84,6 +84,7 @@ def test_full_inbox_drops_the_oldest_of_the_kind_and_counts_it():
     for stamp in range(1, 13):
         inbox.put(scan(stamp))
     assert inbox.waiting() == (10, 1)
+    assert inbox.nbytes() == 10 * scan(0).points.nbytes
     assert inbox.drops() == {('left', 'queue_full'): 2}
     inbox.request(View.MAP)
     taken = []

@@ -94,6 +94,7 @@ class Health:
         values = {
             'queue_core': core,
             'queue_imu': imu,
+            'queue_mb': round(self._worker.inbox.nbytes() / MB, 2),
             'candidates_limit': effort.candidates,
             'windows_merged_into_one': effort.windows,
             'window_s': row.get('window_s', 0.0),

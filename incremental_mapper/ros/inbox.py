@@ -9,7 +9,7 @@ from typing import TypeAlias
 
 from incremental_mapper.config import QueueSettings
 from incremental_mapper.mapper.effort import FULL, Effort
-from incremental_mapper.measurements import Drops, ImuSample, Measurement
+from incremental_mapper.measurements import Drops, ImuSample, LidarScan, Measurement
 
 SHRINK_FROM, MERGE_FROM, MERGE_MORE_FROM = 0.2, 0.5, 0.75
 """Shares of the queue from which on less is spent on a window."""
@@ -103,6 +103,11 @@ class Inbox:
         """How many core measurements and IMU samples wait."""
         with self._filled:
             return self._counts[False], self._counts[True]
+
+    def nbytes(self) -> int:
+        """Memory that the points of the waiting scans take."""
+        with self._filled:
+            return sum(item.points.nbytes for item in self._items if isinstance(item, LidarScan))
 
     def effort(self) -> Effort:
         """What may be spent on the next windows at this filling."""
