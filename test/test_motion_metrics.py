@@ -1,0 +1,126 @@
+"""Numbers of the pieces of a drive: every cluster, factor, window and pair of poses in its own."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+from incremental_mapper.evaluation.finished import FinishedRun
+from incremental_mapper.evaluation.motion_metrics import motion_metrics
+from incremental_mapper.evaluation.segments import Motion, Segment
+from incremental_mapper.trajectory import NANOSECONDS, Trajectory, write_tum
+
+START = 1_544_590_798_000_000_000
+STEP = NANOSECONDS // 2
+ZERO, ACCEL = Motion.ZERO, Motion.ACCELERATION
+
+
+def at(seconds):
+    return START + round(seconds * NANOSECONDS)
+
+
+SEGMENTS = (
+    Segment(ZERO, at(0), at(2)),
+    Segment(ACCEL, at(2), at(4)),
+    Segment(ZERO, at(4), at(6)),
+)
+
+
+def straight(count):
+    """A pose every half second, a metre further each time."""
+    positions = np.c_[np.arange(float(count)), np.zeros((count, 2))]
+    quaternions = np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
+    return Trajectory(START + STEP * np.arange(count), positions, quaternions)
+
+
+def write_run(folder, trajectory, inertial, windows):
+    """The files of a run with a pose a stamp; clusters in ``inertial`` have a velocity too."""
+    folder.mkdir()
+    stamps = trajectory.stamps.tolist()
+    variables = [{'key': f'x{i}', 'stamp_ns': stamp} for i, stamp in enumerate(stamps)]
+    variables += [{'key': f'v{i}', 'stamp_ns': stamps[i]} for i in inertial]
+    factors = [{'variables': ['x0']}]
+    factors += [{'variables': [f'x{i}', f'x{i - 1}']} for i in range(1, len(stamps))]
+    clusters = [{'stamp_ns': stamp} for stamp in stamps]
+    graph = {'variables': variables, 'clusters': clusters, 'factors': factors}
+    (folder / 'graph.json').write_text(json.dumps(graph))
+    (folder / 'stats.json').write_text(json.dumps({'strategy': 'mom'}))
+    write_tum(folder / 'trajectory.tum', trajectory)
+    with (folder / 'windows.csv').open('w', newline='') as file:
+        names = ['start_ns', 'end_ns', 'core', 'time_shift_s', 'solver_error', 'window_s']
+        csv.writer(file).writerows([names, *windows])
+    return FinishedRun(folder)
+
+
+@pytest.fixture
+def run(tmp_path):
+    """Poses at 0, 0.5, .. 5.5 s: four a segment; a window a second, one of them empty."""
+    windows = [
+        [at(second), at(second + 1), 0 if second == 1 else 2, 0.5**second, 10.0**second, 0.25]
+        for second in range(6)
+    ]
+    return write_run(tmp_path / 'run', straight(12), [3, 4, 5], windows)
+
+
+def test_counts_are_those_in_the_pieces_of_a_motion(run):
+    found = motion_metrics(run, None, SEGMENTS, None)
+    assert list(found) == [ZERO, ACCEL]
+    assert (found[ZERO]['clusters'], found[ACCEL]['clusters']) == (8, 4)
+    assert (found[ZERO]['vertices'], found[ACCEL]['vertices']) == (8 + 1, 4 + 2)
+    # A factor counts where its newest variable is; the prior of the first pose counts too.
+    assert (found[ZERO]['factors'], found[ACCEL]['factors']) == (8, 4)
+
+
+def test_windows_count_where_their_middle_is(run):
+    found = motion_metrics(run, None, SEGMENTS, None)
+    assert (found[ZERO]['windows'], found[ACCEL]['windows']) == (4, 2)
+    assert found[ACCEL]['total_time_shift_s'] == pytest.approx(0.5**2 + 0.5**3)
+    assert found[ACCEL]['solver_error'] == pytest.approx(1100.0)
+    assert found[ZERO]['solver_error'] == pytest.approx(110_011.0)
+    # Four seconds in three windows that were worked on.
+    assert found[ZERO]['real_time_factor'] == pytest.approx(4.0 / 0.75)
+    assert found[ACCEL]['window_median_s'] == 0.25
+
+
+def test_errors_are_of_pairs_that_lie_in_one_piece(run):
+    truth = straight(12)
+    moved = truth.positions.copy()
+    moved[4:, 1] += 7.0  # a jump between the last pose of the first piece and its successor
+    moved[6:, 2] += 0.5  # and one within the second piece
+    found = motion_metrics(run, None, SEGMENTS, Trajectory(truth.stamps, moved, truth.quaternions))
+    assert found[ZERO]['rpe_translation_rmse_m'] == pytest.approx(0.0, abs=1e-9)
+    assert found[ACCEL]['rpe_translation_rmse_m'] == pytest.approx(np.sqrt(0.5**2 / 3))
+    assert found[ZERO]['rpe_per_second_translation_rmse_m'] == pytest.approx(0.0, abs=1e-9)
+    assert found[ACCEL]['rpe_per_second_translation_rmse_m'] == pytest.approx(0.5)
+    assert found[ZERO]['rpe_rotation_rmse_deg'] == pytest.approx(0.0, abs=1e-6)
+    assert found[ACCEL]['ate_rmse_m'] > 0.0
+
+
+def test_compression_is_against_the_base_run_in_the_same_pieces(run, tmp_path):
+    fine = straight(12)
+    stamps = np.sort(np.r_[fine.stamps, fine.stamps[4:8] + STEP // 2])
+    base = write_run(
+        tmp_path / 'base',
+        Trajectory(stamps, np.zeros((16, 3)), np.tile([0.0, 0.0, 0.0, 1.0], (16, 1))),
+        [3, 4, 5],
+        [],
+    )
+    found = motion_metrics(run, base, SEGMENTS, None)
+    assert found[ZERO]['compression_vertices_percent'] == pytest.approx(0.0)
+    assert found[ACCEL]['compression_vertices_percent'] == pytest.approx(100 * (1 - 6 / 10))
+    assert found[ACCEL]['compression_factors_percent'] == pytest.approx(100 * (1 - 4 / 8))
+
+
+def test_what_is_not_known_is_none(run):
+    found = motion_metrics(run, None, SEGMENTS, None)
+    for name in (
+        'compression_vertices_percent',
+        'rpe_translation_rmse_m',
+        'ate_rmse_m',
+        'components',
+        'map_distance_m',
+        'plane_variance_m2',
+    ):
+        assert found[ZERO][name] is None, name
+    assert motion_metrics(run, None, (), None) == {}
