@@ -1,4 +1,6 @@
+import re
 import sys
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -6,8 +8,24 @@ import numpy as np
 import pytest
 
 from incremental_mapper.errors import OutputError
-from incremental_mapper.evaluation.graph_picture import draw_graph, loose_variables
-from incremental_mapper.evaluation.pictures import HEIGHT_PX, WIDTH_PX, draw_map, draw_trajectory
+from incremental_mapper.evaluation.figure import (
+    DARK,
+    HEIGHT_PX,
+    LIGHT,
+    PAGE,
+    WIDTH_PX,
+    Look,
+    axes_pixels,
+    svg_for_page,
+)
+from incremental_mapper.evaluation.graph_picture import draw_graph, graph_figure, loose_variables
+from incremental_mapper.evaluation.pictures import (
+    WIDE,
+    draw_map,
+    draw_map_side,
+    draw_trajectory,
+    side_figure,
+)
 from incremental_mapper.trajectory import NANOSECONDS, Trajectory
 
 REASON = 'matplotlib is not installed; pictures need the extra "report"'
@@ -161,6 +179,79 @@ def test_variables_without_a_path_are_loose() -> None:
 def test_a_folder_that_is_missing_is_named(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match='nowhere'):
         draw_map(tmp_path / 'nowhere' / 'a.png', street(), drive())
+
+
+def test_side_of_a_long_drive_is_stretched(tmp_path: Path) -> None:
+    points = street() * [20.0, 1.0, 1.0]
+    path = Trajectory(drive().stamps, drive().positions * [20.0, 1.0, 1.0], drive().quaternions)
+
+    figure = side_figure(points, path, WIDE)
+    draw_map_side(tmp_path / 'a.png', points, path)
+
+    axes = figure.axes[0]
+    assert 'drawn' in axes.get_ylabel()
+    assert axes.get_xlim()[0] < 0.0 and axes.get_xlim()[1] > 800.0
+    assert axes.get_ylim()[0] < 0.0 and 6.0 < axes.get_ylim()[1] < 40.0
+    pixels = image.imread(tmp_path / 'a.png')
+    assert pixels.shape[:2] == (WIDE.height, WIDE.width)
+    assert pixels[..., :3].var() > 1e-2
+
+
+def test_side_of_a_short_drive_keeps_its_scale() -> None:
+    axes = side_figure(street() * [0.1, 0.1, 1.0], drive(1), WIDE).axes[0]
+    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+    width, height = axes_pixels(axes)
+    assert axes.get_ylabel() == 'z in m'
+    assert (right - left) / width == pytest.approx((top - bottom) / height)
+
+
+@pytest.mark.parametrize('suffix', ['.svg', '.pdf'])
+def test_same_picture_is_the_same_file(tmp_path: Path, suffix: str) -> None:
+    for name in 'ab':
+        draw_graph(tmp_path / (name + suffix), two_chains(), START, START + NANOSECONDS)
+
+    content = (tmp_path / f'a{suffix}').read_bytes()
+    assert len(content) > 20_000
+    assert content == (tmp_path / f'b{suffix}').read_bytes()
+
+
+def test_other_suffixes_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match=r"'.gif'; pictures are .png, .svg, .pdf"):
+        draw_graph(tmp_path / 'a.gif', two_chains(), START, START + NANOSECONDS)
+
+
+def test_dark_pictures_are_dark(tmp_path: Path) -> None:
+    for theme in (LIGHT, DARK):
+        draw_graph(tmp_path / 'a.png', two_chains(), START, START + NANOSECONDS, Look(theme=theme))
+        pixels = image.imread(tmp_path / 'a.png')[..., :3]
+        assert (pixels.mean() > 0.7) == (theme is LIGHT)
+        assert pixels.var() > 5e-3
+
+
+def test_picture_of_a_page_has_no_colour_of_its_own() -> None:
+    figure, shown = graph_figure(two_chains(), START, START + NANOSECONDS, Look(theme=PAGE))
+    text = svg_for_page(figure, 'here', 'Graph "of" <two> chains')
+
+    assert shown.clusters == 21 and shown.loose == 0
+    assert text.startswith('<svg') and text.endswith('</svg>')
+    assert 'aria-label="Graph &quot;of&quot; &lt;two> chains"' in text
+    assert '#01' not in text
+    assert {'var(--ink)', 'var(--node)', 'var(--blue)', 'var(--even)'} <= set(
+        re.findall(r'var\(--[a-z-]+\)', text)
+    )
+    assert all(name.startswith('here-') for name in re.findall(r'id="([^"]*)"', text))
+
+
+def test_seconds_count_from_a_given_stamp() -> None:
+    look = Look(heading=False)
+    figure, _ = graph_figure(two_chains(), START, START + NANOSECONDS, look, START - NANOSECONDS)
+    assert figure.axes[0].get_xlim() == pytest.approx((1.0, 2.0))
+
+
+def test_colours_of_the_themes_stand_for_one_thing_each() -> None:
+    for theme in (LIGHT, DARK, PAGE):
+        colours = [getattr(theme, field.name) for field in fields(theme)]
+        assert len(set(colours)) == len(colours)
 
 
 def test_missing_matplotlib_is_explained(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

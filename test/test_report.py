@@ -217,6 +217,19 @@ def test_one_drive_has_no_means(changed):
     assert 'failed' not in text and 'Means' not in text
 
 
+def test_pieces_by_motion_have_a_table_of_their_own(changed):
+    def change(record):
+        for job in record['jobs']:
+            if job['metrics']:
+                pieces = ('acceleration', 'deceleration')
+                job['by_motion'] = {motion: dict(job['metrics']) for motion in pieces}
+
+    page = Tags(changed(change))
+    assert 'By drive' in page.text and 'By motion' in page.text
+    assert 'Acceleration' in page.text and 'Deceleration' in page.text
+    assert len(page.named('table')) == 5
+
+
 def test_names_are_text_not_markup(changed):
     def change(record):
         name = '<script>alert("&")</script>'

@@ -9,10 +9,8 @@ from numpy.typing import NDArray
 from incremental_mapper.evaluation.figure import (
     DARK,
     DPI,
-    HEIGHT_PX,
     LIGHT,
     WHOLE,
-    WIDTH_PX,
     Look,
     add_legend,
     axes_pixels,
@@ -31,10 +29,8 @@ if TYPE_CHECKING:
     from matplotlib.colors import Colormap
     from matplotlib.figure import Figure
 
-__all__ = ['HEIGHT_PX', 'WIDTH_PX', 'draw_map', 'draw_map_side', 'draw_trajectory']
-
-MAX_DRAWN_POINTS = 1_500_000
-"""More points than this do not change a picture of this size; every k-th one is drawn."""
+DRAWN_POINTS_A_PIXEL = 1
+"""More points than this do not change a picture; every k-th one is drawn."""
 WIDE = Look(height=600)
 """The look of a map from the side."""
 SMALLEST = 10.0
@@ -111,7 +107,7 @@ def map_figure(points: NDArray[np.floating], estimate: Trajectory, look: Look) -
     """The figure that ``draw_map`` saves."""
     figure = new_figure(look)
     axes = figure.add_axes(_place(look, right=160 if look.heading else 80))
-    drawn = _thinned(points)
+    drawn = _thinned(points, look)
     drawn = drawn[np.argsort(drawn[:, 2], kind='stable')]  # roofs hide the ground, not reversed
     # A few stray returns must not shrink the street.
     inner = np.percentile(drawn[:, :2], [0.5, 99.5], axis=0) if len(drawn) > 0 else drawn[:, :2]
@@ -130,7 +126,7 @@ def side_figure(points: NDArray[np.floating], estimate: Trajectory, look: Look) 
     """The figure that ``draw_map_side`` saves."""
     figure = new_figure(look)
     axes = figure.add_axes(_place(look, right=160 if look.heading else 80))
-    drawn = _thinned(points)
+    drawn = _thinned(points, look)
     along = _main_direction(estimate.positions if len(estimate) > 1 else drawn)
     flat = np.stack([drawn[:, :2] @ along, drawn[:, 2]], axis=1)
     path = np.stack([estimate.positions[:, :2] @ along, estimate.positions[:, 2]], axis=1)
@@ -166,8 +162,9 @@ def _aligned_truth(estimate: Trajectory, truth: Trajectory) -> NDArray[np.float6
     return transform_points(fit_rigid(reference.positions, covered.positions), positions)
 
 
-def _thinned(points: NDArray[np.floating]) -> NDArray[np.float64]:
-    return np.asarray(points[:: max(1, -(-len(points) // MAX_DRAWN_POINTS))], dtype=np.float64)
+def _thinned(points: NDArray[np.floating], look: Look) -> NDArray[np.float64]:
+    most = DRAWN_POINTS_A_PIXEL * look.width * look.height
+    return np.asarray(points[:: max(1, -(-len(points) // most))], dtype=np.float64)
 
 
 def _main_direction(positions: NDArray[np.float64]) -> NDArray[np.float64]:

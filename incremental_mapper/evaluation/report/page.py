@@ -140,7 +140,8 @@ def _tables(table: Table) -> dict[str, Any]:
 
     def part(rows: Ordered[Row]) -> dict[str, Any]:
         return {
-            'titles': [row.title for row in rows],
+            # A unit stays beside its name.
+            'titles': [row.title.replace(', ', ',\N{NO-BREAK SPACE}') for row in rows],
             'blocks': [
                 {
                     'title': block.title,
