@@ -99,12 +99,17 @@ class SolverError:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mom:
-    """MOM of the local map, or the time shift where the scene has no plane at all."""
+    """MOM of the local map, or the time shift where the scene has no plane at all.
+
+    ``direct`` searches the neighbourhoods of every candidate again. Without ``exact`` candidates
+    that the scene did not foresee keep the neighbourhoods of those that it did.
+    """
 
     scene: Scene
     settings: MomSettings
     judges: Judges | None
     direct: bool = False
+    exact: bool = True
 
     @property
     def name(self) -> str:
@@ -121,7 +126,7 @@ class Mom:
         if self.judges is None or len(poses) < len(proposals):
             return [TimeShift().score(proposal) for proposal in proposals]
         if not self.direct:
-            found = fast_scores(self.judges, np.array(poses), self.scene, self.settings)
+            found = fast_scores(self.judges, np.array(poses), self.scene, self.settings, self.exact)
             return [float(score) for score in found]
         return [direct_score(self.judges, pose, self.scene, self.settings) for pose in poses]
 

@@ -126,12 +126,16 @@ def choose_judges(scene: Scene, settings: MomSettings) -> Judges | None:
 
 
 def fast_scores(
-    judges: Judges, poses: NDArray[np.float64], scene: Scene, settings: MomSettings
+    judges: Judges,
+    poses: NDArray[np.float64],
+    scene: Scene,
+    settings: MomSettings,
+    exact: bool = True,
 ) -> NDArray[np.float64]:
     """MOM in m^2 (C,) of candidates with the moving scans at ``poses`` (C, S, 4, 4).
 
     The values are those of ``direct_score``. Candidates that drift beyond the judges' reach are
-    indeed searched again.
+    indeed searched again, unless ``exact`` is off: then they keep what neighbours they had there.
     """
     scores = np.empty(len(poses))
     for start in range(0, len(poses), BATCH):
@@ -139,7 +143,7 @@ def fast_scores(
         motions = _motions(scene, some)
         drift = drifts(motions, judges.points, judges.scan)
         allowed = np.square(judges.reach + 0.1 * ROUNDING)
-        near = (squared_lengths(drift) <= allowed).all(axis=(1, 2))
+        near = (squared_lengths(drift) <= allowed).all(axis=(1, 2)) | (not exact)
         values = np.empty(len(some))
         if near.any():
             values[near] = _moved_scores(judges, motions[near], drift[:, near], settings)

@@ -18,13 +18,21 @@ from numpy.typing import NDArray
 from incremental_mapper.candidates.clusters import HEAD, Candidate, Cluster, Connection
 from incremental_mapper.candidates.partitions import make_cluster
 from incremental_mapper.config import MomSettings
-from incremental_mapper.criteria.criterion import Criterion, Proposal, StrategyPlan
+from incremental_mapper.criteria.criterion import (
+    Criterion,
+    Mom,
+    Proposal,
+    StrategyPlan,
+    score_all,
+)
 from incremental_mapper.graph.belief import Belief, extend, shrink
 from incremental_mapper.graph.factors import pose_key
 from incremental_mapper.graph.linear import Layout
 from incremental_mapper.graph.solver import copy_value
 from incremental_mapper.mapper.task import Task
 
+SHAKE = 0.04
+"""Metres that scans are expected to move against each other between the prefixes of a window."""
 FINALISTS = 24
 """Complete candidates that are handed on, to be solved and scored together."""
 
@@ -35,7 +43,7 @@ class Prefix:
 
     ``node`` is the index of the cluster that the chain of connections goes on from (HEAD for
     G(t-1), None before there is one). ``cost`` is Σ‖h(x)−z‖² so far, with what the prefix moves
-    in G(t-1); ``score`` is what it is ranked by.
+    in G(t-1).
     """
 
     position: int
@@ -43,7 +51,6 @@ class Prefix:
     node: int | None
     belief: Belief
     cost: float
-    score: float
 
 
 def beam_search(
@@ -75,17 +82,27 @@ class _Search:
         start = Candidate((), ())
         node = None if task.head is None else HEAD
         layers: list[list[Prefix]] = [[] for _ in range(count + 1)]
-        layers[0].append(Prefix(0, start, node, trimmed(task.belief, task.watched), 0.0, 0.0))
+        layers[0].append(Prefix(0, start, node, trimmed(task.belief, task.watched), 0.0))
         began, extended = time.perf_counter(), 0
         for position in range(count):
-            layer = sorted(layers[position], key=lambda prefix: prefix.score)
-            layers[position] = []
-            for prefix in layer[: self._width(position, began, extended)]:
+            layer, layers[position] = layers[position], []
+            for prefix in self._best(layer, self._width(position, began, extended)):
                 for longer in self._extensions(prefix):
                     layers[longer.position].append(longer)
                     extended += 1
-        finals = sorted(layers[count], key=lambda prefix: prefix.score)
-        return [prefix.candidate for prefix in finals[:FINALISTS]]
+        return [prefix.candidate for prefix in self._best(layers[count], FINALISTS)]
+
+    def _best(self, layer: list[Prefix], count: int) -> list[Prefix]:
+        """The best ``count`` of prefixes of the same length, best first."""
+        if not layer:
+            return []
+        proposals = [
+            Proposal(prefix.candidate, prefix.cost, self._poses(prefix) if self._scene else None)
+            for prefix in layer
+        ]
+        scores = score_all(self._criterion, proposals)
+        order = sorted(range(len(layer)), key=lambda i: (scores[i], layer[i].candidate.vertices))
+        return [layer[i] for i in order[:count]]
 
     def _width(self, position: int, began: float, extended: int) -> int:
         """How many prefixes of this length to extend, at the pace so far."""
@@ -168,8 +185,7 @@ class _Search:
         if not grown.healthy:
             return
         belief, _ = shrink(grown, self._needed(candidate, node), np.iinfo(np.int64).min)
-        longer = Prefix(cluster.last + 1, candidate, node, belief, prefix.cost + cost, 0.0)
-        yield replace(longer, score=self._score(longer))
+        yield Prefix(cluster.last + 1, candidate, node, belief, prefix.cost + cost)
 
     def _can_connect(self, candidate: Candidate, cluster: Cluster, node: int | None) -> bool:
         """Whether an unlinked cluster hangs, or may come to hang, on something else."""
@@ -202,10 +218,6 @@ class _Search:
             self._clusters[first, last] = make_cluster(self._task.parts, first, last)
         return self._clusters[first, last]
 
-    def _score(self, prefix: Prefix) -> float:
-        poses = self._poses(prefix) if self._scene else None
-        return self._criterion.score(Proposal(prefix.candidate, prefix.cost, poses))
-
     def _poses(self, prefix: Prefix) -> NDArray[np.float64]:
         """Poses of all moving scans, those of the rest of the window by dead reckoning."""
         factors, values = self._task.factors, gtsam.Values(prefix.belief.values)
@@ -224,12 +236,26 @@ class _Search:
         return self._task.scenes.poses(Candidate(tuple(clusters), ()), values, None)
 
     def _make_criterion(self, plan: StrategyPlan, mom: MomSettings) -> Criterion:
-        scene = None
-        if plan.scene:
-            nothing = Prefix(0, Candidate((), ()), None, self._task.belief, 0.0, 0.0)
-            poses = self._poses(nothing)
-            scene = self._task.scenes.scene([poses]) if len(poses) else None
-        return plan.make(scene, mom, False)
+        if not plan.scene:
+            return plan.make(None, mom, False)
+        poses = self._poses(Prefix(0, Candidate((), ()), None, self._task.belief, 0.0))
+        if len(poses) == 0:
+            return plan.make(None, mom, False)
+        criterion = plan.make(self._task.scenes.scene([poses, *_shaken(poses)]), mom, False)
+        # Nobody knows yet where the prefixes will put the scans; the finalists are judged exactly.
+        return replace(criterion, exact=False) if isinstance(criterion, Mom) else criterion
+
+
+def _shaken(poses: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """Poses (S, 4, 4) moved by SHAKE metres to either side, every other scan the other way."""
+    steps = np.zeros((len(poses), 3))
+    steps[:, 2] = steps[:, 0] = SHAKE * np.where(np.arange(len(poses)) % 2, 0.5, -0.5)
+    shaken = []
+    for sign in (-1.0, 1.0):
+        moved = poses.copy()
+        moved[:, :3, 3] += sign * steps
+        shaken.append(moved)
+    return shaken
 
 
 def trimmed(belief: Belief, followers: Collection[int]) -> Belief:

@@ -17,8 +17,9 @@ from incremental_mapper.criteria.criterion import (
     Mom,
     Proposal,
     StrategyPlan,
+    score_all,
 )
-from incremental_mapper.criteria.mom import direct_score, fast_score
+from incremental_mapper.criteria.mom import direct_score, fast_scores
 from incremental_mapper.graph.belief import Problem
 from incremental_mapper.mapper.beam import beam_search
 from incremental_mapper.mapper.task import Task
@@ -118,7 +119,7 @@ def choose(
     poses = [item.poses for item, _ in proposals if item.poses is not None and len(item.poses)]
     scene = task.scenes.scene(poses) if poses else None
     criterion = plan.make(scene, mom, selection.direct)
-    scores = [criterion.score(proposal) for proposal, _ in proposals]
+    scores = score_all(criterion, [proposal for proposal, _ in proposals])
     clock.lap('score')
     verification = None
     if selection.verify and isinstance(criterion, Mom):
@@ -239,7 +240,7 @@ def _verify(criterion: Mom, proposals: list[Proposal], clock: '_Clock') -> Verif
         return None
     poses = [proposal.poses for proposal in proposals if proposal.poses is not None]
     clock.lap('verify')
-    fast = [fast_score(judges, pose, scene, settings) for pose in poses]
+    fast = fast_scores(judges, np.array(poses), scene, settings).tolist()
     fast_seconds = clock.lap('verify')
     direct = [direct_score(judges, pose, scene, settings) for pose in poses]
     direct_seconds = clock.lap('verify')
