@@ -28,7 +28,8 @@ from kiss_icp.kiss_icp import KissICP
 from incremental_mapper.config import merge, read_yaml
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.evaluation.run import settle_config
-from incremental_mapper.mapper.front_end import FrontEnd, PreparedScan
+from incremental_mapper.mapper.front_end import FrontEnd
+from incremental_mapper.mapper.scan_preparer import PreparedScan
 from incremental_mapper.measurements import LidarScan
 from incremental_mapper.trajectory import NANOSECONDS, Trajectory
 

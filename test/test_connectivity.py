@@ -17,9 +17,10 @@ from incremental_mapper.config import Config
 from incremental_mapper.frontend.geodesy import IDENTITY_ALIGNMENT
 from incremental_mapper.frontend.inertial import EMPTY_SERIES, preintegration_parameters
 from incremental_mapper.graph.connectivity import UnionFind
-from incremental_mapper.mapper.front_end import PreparedFix, PreparedScan
+from incremental_mapper.mapper.front_end import PreparedFix
 from incremental_mapper.mapper.local_graph import WindowFactors, WindowInputs
 from incremental_mapper.mapper.prediction import State
+from incremental_mapper.mapper.scan_preparer import PreparedScan
 from incremental_mapper.mapper.state import Frontier
 
 edges = st.lists(st.tuples(st.integers(0, 15), st.integers(0, 15)), max_size=30)

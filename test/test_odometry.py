@@ -14,7 +14,8 @@ from scipy.spatial.transform import Rotation
 from incremental_mapper.config import OdometryMethod, OdometrySettings, make_config
 from incremental_mapper.frontend.clouds import Sweep, Twist, deskew, thin, to_base, voxel_means
 from incremental_mapper.frontend.odometry import make_matcher
-from incremental_mapper.mapper.front_end import FrontEnd, PreparedFix, PreparedScan, ScanPreparer
+from incremental_mapper.mapper.front_end import FrontEnd, PreparedFix
+from incremental_mapper.mapper.scan_preparer import PreparedScan, ScanPreparer
 from incremental_mapper.measurements import FixStatus, GnssFix, LidarScan
 
 SECOND = 1_000_000_000

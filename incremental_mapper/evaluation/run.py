@@ -4,7 +4,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass
 from importlib import metadata
 from types import FrameType
@@ -92,15 +92,16 @@ def map_source(
     started = time.perf_counter()
     mapper = Mapper(config, [name for name, count in source.info.counts.items() if count])
     interrupted = False
-    for measurement in source.measurements():
-        tell(mapper.push(measurement))
-        if progress is not None:
-            progress(1)
-        if stop is not None and stop.wanted:
-            interrupted = True
-            break
-    tell(mapper.flush())
-    result = mapper.result()
+    with closing(mapper):
+        for measurement in source.measurements():
+            tell(mapper.push(measurement))
+            if progress is not None:
+                progress(1)
+            if stop is not None and stop.wanted:
+                interrupted = True
+                break
+        tell(mapper.flush())
+        result = mapper.result()
     if not result.clusters and interrupted:
         raise KeyboardInterrupt
     if not result.clusters:

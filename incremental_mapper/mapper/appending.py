@@ -17,8 +17,9 @@ from incremental_mapper.graph.factors import (
     velocity_key,
 )
 from incremental_mapper.graph.solver import copy_value
-from incremental_mapper.mapper.front_end import PreparedFix, PreparedScan
+from incremental_mapper.mapper.front_end import PreparedFix
 from incremental_mapper.mapper.local_graph import WindowFactors, WindowInputs
+from incremental_mapper.mapper.scan_preparer import PreparedScan
 from incremental_mapper.mapper.state import (
     Frontier,
     GraphState,

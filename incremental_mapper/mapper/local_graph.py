@@ -31,8 +31,9 @@ from incremental_mapper.graph.factors import (
     pose_sigmas,
     velocity_key,
 )
-from incremental_mapper.mapper.front_end import Prepared, PreparedFix, PreparedScan
+from incremental_mapper.mapper.front_end import Prepared, PreparedFix
 from incremental_mapper.mapper.prediction import State, propagate
+from incremental_mapper.mapper.scan_preparer import PreparedScan
 from incremental_mapper.mapper.state import Frontier
 from incremental_mapper.trajectory import NANOSECONDS
 

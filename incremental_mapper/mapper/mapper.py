@@ -26,7 +26,7 @@ from incremental_mapper.graph.solver import (
 from incremental_mapper.map.store import make_store
 from incremental_mapper.mapper.appending import append_candidate
 from incremental_mapper.mapper.effort import FULL, Effort
-from incremental_mapper.mapper.front_end import FrontEnd, Prepared
+from incremental_mapper.mapper.front_end import FrontEnd, Preparation, Prepared
 from incremental_mapper.mapper.georeference import georeference
 from incremental_mapper.mapper.inputs import window_inputs
 from incremental_mapper.mapper.local_graph import WindowFactors, WindowInputs
@@ -39,6 +39,9 @@ from incremental_mapper.mapper.task import Task
 from incremental_mapper.measurements import ImuSample, Measurement
 from incremental_mapper.trajectory import NANOSECONDS, from_matrices
 from incremental_mapper.windows.buffer import Window, WindowBuffer, joined
+
+MOST_AHEAD = 2
+"""Windows whose scans may be prepared in other processes while an older one is waited for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +66,8 @@ class Mapper:
         self.config = config
         self._plan = strategy_plan(config.selection.strategy)
         self._buffer = WindowBuffer(config.window, sensors)
-        self._held: list[Window] = []  # closed, and waiting to be merged with the next
+        # Closed, and waiting for their scans or to be merged with the next.
+        self._held: list[tuple[Window, Preparation]] = []
         self._effort = FULL
         self._front_end = FrontEnd(config)
         self._parameters = preintegration_parameters(config.preintegration, config.imu.matrix())
@@ -94,8 +98,8 @@ class Mapper:
         self._totals.received[measurement.sensor] += 1
         self._buffer.push(measurement)
         self._effort = effort
-        self._held += self._buffer.pop_ready()
-        while len(self._held) >= effort.windows:
+        self._hold(self._buffer.pop_ready())
+        while self._may_run(effort.windows):
             yield self._run(self._next_window(effort.windows))
 
     def flush(self) -> list[WindowResult]:
@@ -105,7 +109,7 @@ class Mapper:
     def drain(self, effort: Effort = FULL) -> Iterator[WindowResult]:
         """As ``flush``, one window at a time."""
         self._effort = effort
-        self._held += self._buffer.flush()
+        self._hold(self._buffer.flush())
         while self._held:
             yield self._run(self._next_window(effort.windows))
         if self._carried:
@@ -179,18 +183,34 @@ class Mapper:
             return np.zeros((0, 3))
         return alignment.to_map(np.array([fix.enu for fix in self._state.fixes]).reshape(-1, 3))
 
-    def _next_window(self, count: int) -> Window:
+    def close(self) -> None:
+        """Let go of processes and threads; nothing may be pushed afterwards."""
+        self._front_end.close()
+
+    def _hold(self, windows: Sequence[Window]) -> None:
+        """Begin to prepare the scans of closed windows."""
+        self._held += [(window, self._front_end.start(window.core)) for window in windows]
+
+    def _may_run(self, count: int) -> bool:
+        """Whether the oldest ``count`` windows are ready, or have others waiting behind them."""
+        if len(self._held) < count:
+            return False
+        ready = all(preparation.done for _, preparation in self._held[:count])
+        return ready or len(self._held) > count + MOST_AHEAD
+
+    def _next_window(self, count: int) -> tuple[Window, list[Preparation]]:
         """The oldest ``count`` windows that wait, as one."""
         taken, self._held = self._held[:count], self._held[count:]
         self._totals.merged_windows += len(taken) - 1
-        return joined(taken)
+        return joined([window for window, _ in taken]), [begun for _, begun in taken]
 
-    def _run(self, window: Window) -> WindowResult:
+    def _run(self, waiting: tuple[Window, Sequence[Preparation]]) -> WindowResult:
+        window, begun = waiting
         started = time.perf_counter()
         for sample in window.imu:
             self._keep_orientation(sample)
         self._series = self._series.joined(window.imu)
-        prepared = self._front_end.prepare(window.core)
+        prepared = [item for part in begun for item in self._front_end.collect(part)]
         seconds = {'front_end': time.perf_counter() - started}
         frame = _Frame(window.start, window.end, len(window.imu), seconds)
         return self._window(prepared, frame)

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from incremental_mapper.frontend.inertial import ImuSeries, preintegrate
-from incremental_mapper.mapper.front_end import Prepared, PreparedScan
+from incremental_mapper.mapper.front_end import Prepared
+from incremental_mapper.mapper.scan_preparer import PreparedScan
 from incremental_mapper.trajectory import NANOSECONDS
 
 
