@@ -1,5 +1,6 @@
 """From a window's raw measurements to what factors are made of."""
 
+import time
 from collections import Counter
 from concurrent.futures import Future
 from dataclasses import dataclass
@@ -32,9 +33,13 @@ Prepared: TypeAlias = PreparedScan | PreparedFix
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Preparation:
-    """Core measurements of a window that are being prepared, in time order."""
+    """Core measurements of a window that are being prepared, in time order.
+
+    ``seconds`` is what it took to begin with them.
+    """
 
     items: tuple[tuple[CoreInput, 'Future[PreparedScan] | PreparedFix'], ...]
+    seconds: float
 
     @property
     def done(self) -> bool:
@@ -57,6 +62,7 @@ class FrontEnd:
 
     def start(self, core: tuple[CoreInput, ...]) -> Preparation:
         """Begin to prepare a window's core measurements; the unusable are counted."""
+        began = time.perf_counter()
         items: list[tuple[CoreInput, Future[PreparedScan] | PreparedFix]] = []
         for measurement in core:
             if isinstance(measurement, LidarScan):
@@ -66,7 +72,7 @@ class FrontEnd:
                 items.append((measurement, self._fix(measurement)))
             except MeasurementError as error:
                 self.drops[measurement.sensor, error.reason] += 1
-        return Preparation(tuple(items))
+        return Preparation(tuple(items), time.perf_counter() - began)
 
     def collect(self, preparation: Preparation) -> list[Prepared]:
         """Wait for what was begun; the unusable are counted."""

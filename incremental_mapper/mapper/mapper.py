@@ -211,7 +211,8 @@ class Mapper:
             self._keep_orientation(sample)
         self._series = self._series.joined(window.imu)
         prepared = [item for part in begun for item in self._front_end.collect(part)]
-        seconds = {'front_end': time.perf_counter() - started}
+        spent = time.perf_counter() - started + sum(part.seconds for part in begun)
+        seconds = {'front_end': spent}
         frame = _Frame(window.start, window.end, len(window.imu), seconds)
         return self._window(prepared, frame)
 

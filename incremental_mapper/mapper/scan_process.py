@@ -68,6 +68,11 @@ class ProcessStation:
         self._thread = ThreadPoolExecutor(1, thread_name_prefix=f'scans_{name}')
         self._thread.submit(self._send, (name, config))
 
+    @property
+    def pid(self) -> int:
+        """Number of the process."""
+        return self._process.pid
+
     def submit(self, scan: LidarScan) -> 'Future[PreparedScan]':
         """See ScanStation."""
         return self._thread.submit(self._exchange, scan)
