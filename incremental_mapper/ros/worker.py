@@ -134,6 +134,12 @@ class Worker:
         self.limited_windows = self.scan_bytes = self.cloud_bytes = 0
 
     def _run(self) -> None:
+        try:
+            self._serve()
+        finally:
+            self._mapper.close()
+
+    def _serve(self) -> None:
         while True:
             item, views = self.inbox.take()
             try:
@@ -206,6 +212,7 @@ class Worker:
         self._save_quietly()
 
     def _restart(self, reason: str) -> None:
+        self._mapper.close()
         self._begin()
         self._emit(Restarted(reason))
 
