@@ -95,7 +95,7 @@ def test_page_needs_nothing_else(evaluation):
     ]
     assert links and all(link.startswith(('#', 'data:image/')) for link in links)
     assert re.findall(r'url\((?!#|&)[^)]*\)|@import', text) == []
-    assert len(text) < 2_000_000
+    assert len(text) < 800_000
 
 
 def test_names_inside_are_unique_and_found(evaluation):
