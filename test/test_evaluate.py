@@ -369,7 +369,8 @@ def test_drive_is_cut_by_its_estimate_where_there_is_no_truth(copy, inputs, conf
         (('--config', 'none.yaml'), ('none.yaml', 'cannot be read')),
         (('--reference', 'none.csv'), ('none.csv', 'cannot be read')),
         (('--truth', 'none.tum'), ('none.tum', 'is no file')),
-        (('--scheduler', 'nowhere'), ('--scheduler nowhere', 'dask scheduler')),
+        (('--scheduler', 'nowhere'), ('--scheduler nowhere', 'missing port', 'dask scheduler')),
+        (('--scheduler', 'tcp://127.0.0.1:1'), ('tcp://127.0.0.1:1: no Dask', 'dask scheduler')),
     ],
 )
 def test_wrong_options_are_one_line(light_drive, tmp_path, capsys, monkeypatch, options, words):

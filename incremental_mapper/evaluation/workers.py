@@ -139,11 +139,13 @@ class ClusterWorkers:
         """Connect to the scheduler; raises ClusterError with what to do where that fails."""
         try:
             from distributed import Client
+            from distributed.comm import get_address_host_port
         except ModuleNotFoundError as error:
             raise ClusterError(
                 f'--scheduler: {error.name} is missing; pip install "incremental_mapper[cluster]"'
             ) from error
         try:
+            get_address_host_port(address)  # a client that cannot read it lives on and complains
             self._client = Client(address, timeout=CONNECT_SECONDS, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
             reason = ' '.join(str(error).split()) or type(error).__name__
