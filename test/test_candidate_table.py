@@ -175,8 +175,8 @@ def test_without_pyarrow_the_rest_is_written(map_light, light_drive, monkeypatch
 def test_winner_is_told_where_the_search_was_cut(light_drive):
     source = open_source(light_drive)
     tree = {
-        'window': {'duration': 0.5},
-        'selection': {'max_candidates': 20, 'strategy': 'min_time_shift'},
+        'window': {'duration': 0.3},
+        'selection': {'max_candidates': 10, 'strategy': 'min_solver_error'},
     } | MOM
     seen = []
     map_source(source, make_config(tree | dict(source.info.settings), 'test'), observe=seen.append)

@@ -62,8 +62,12 @@ MERGED = [[{'stamp_ns': 1}, {'stamp_ns': 2}]]
             ['shares the lowest score', 'candidate 0', 'fewest vertices', '4'],
         ),
         (
+            [row(0, 0.5, winner=True), row(1, 0.5, clusters=MERGED), row(2, 0.5, vertices=9)],
+            ['shares the lowest score', 'candidate 1, 2', '6 vertices', 'finest partition'],
+        ),
+        (
             [row(0, 0.5, winner=True), row(1, 0.5)],
-            ['shares the lowest score', 'finer partition'],
+            ['shares the lowest score', 'earlier cuts'],
         ),
         (
             [row(0, 0.5, winner=True), row(1, 0.6), row(2, clusters=MERGED)],

@@ -94,14 +94,22 @@ def why(rows: Sequence[Row], cut: bool, strategy: str) -> list[str]:
         ]
     numbers = ', '.join(str(row['candidate']) for row in tied)
     reasons = [f'{name} shares the lowest score ({label}) with candidate {numbers}.']
-    if all(row['vertices'] > winner['vertices'] for row in tied):
-        reasons.append(f'It has the fewest vertices of them, {winner["vertices"]}.')
-    else:
-        reasons.append(
-            f'It has no more vertices than they have ({winner["vertices"]}), and of equals the '
-            'finer partition, which is enumerated first, is taken.'
-        )
+    reasons.append(_told_apart(winner, tied))
     return [*reasons, *_left_out(connected, scored, cut)]
+
+
+def _told_apart(winner: Row, tied: Sequence[Row]) -> str:
+    """Which of the rules for equal scores decided; they are those of ``mapper/selection.py``."""
+    vertices, clusters = winner['vertices'], len(winner['clusters'])
+    alike = [row for row in tied if row['vertices'] == vertices]
+    if not alike:
+        return f'It has the fewest vertices of them, {vertices}.'
+    if all(len(row['clusters']) < clusters for row in alike):
+        return f'Of those with {vertices} vertices it is the finest partition, {clusters} clusters.'
+    return (
+        f'Of those with {vertices} vertices and {clusters} clusters it has the earlier cuts, or '
+        'else the earlier connections.'
+    )
 
 
 def _alone(name: str, connected: int) -> str:
@@ -137,10 +145,11 @@ def _margin(best: float, second: float) -> str:
     return f'{100.0 * (second - best) / second:.3g} % below'
 
 
-def _rank(row: Row) -> tuple[bool, bool, float, int, int]:
+def _rank(row: Row) -> tuple[bool, bool, float, int, int, int]:
     """The winner, then the judged ones by score, then the connected ones, then the others."""
     score = math.inf if row['score'] is None else row['score']
-    return (not row['winner'], not row['connected'], score, row['vertices'], row['candidate'])
+    size = (row['vertices'], -len(row['clusters']), row['candidate'])
+    return (not row['winner'], not row['connected'], score, *size)
 
 
 def _extent(run: FinishedRun) -> str:
