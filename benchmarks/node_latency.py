@@ -41,6 +41,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu, NavSatFix, PointCloud2
 
 from incremental_mapper.config import make_config, merge, read_yaml
+from incremental_mapper.datasets.bags import open_bag
 from incremental_mapper.errors import InputError, MapperError
 from incremental_mapper.measurements import (
     FixStatus,
@@ -122,10 +123,10 @@ def latency(drive: Drive, rate: float, log: Path) -> None:
         )
         if worker['limited_windows']:
             print('The node fell behind: the latencies below are mostly time in the queue.')
-        missed = sum(drive.counts.values()) - len(published)
+        missed = missing(run, published, rate)
         if missed:
-            print(f'This listener missed {missed} messages; windows may seem to close later.')
-        closings = find_closings(published, drive)
+            print(f'This listener missed {len(missed)} messages; their windows are left out.')
+        closings = find_closings(published, missed, drive)
         print_latency(run, run.client.odometry[:seen], closings)
 
 
@@ -133,28 +134,55 @@ def record(run: NodeRun, published: list[Published]) -> None:
     """Listen to the inputs of the node too; only their stamps are looked at."""
 
     def take(sensor: str, heard: Heard) -> None:
-        # A serialised message begins with four bytes of encoding, then the header's stamp.
-        seconds, nanoseconds = struct.unpack_from('<iI', heard.message, 4)
-        published.append(Published(heard.sent, seconds * NANOSECONDS + nanoseconds, sensor))
+        published.append(Published(heard.sent, header_stamp(heard.message), sensor))
 
     for sensor, topic in run.topics.items():
         kind = KINDS.get(sensor, PointCloud2)
         run.client.listen(topic, kind, partial(take, sensor), LISTENING, raw=True)
 
 
-def find_closings(published: Sequence[Published], drive: Drive) -> dict[tuple[int, int], Closing]:
-    """Closings by a window's start and end (ns)."""
+def missing(run: NodeRun, published: Sequence[Published], rate: float) -> list[Published]:
+    """Messages of the bag that did not come here, at the times when they must have been sent."""
+    sensors = {topic: sensor for sensor, topic in run.topics.items()}
+    heard = {(item.stamp, item.sensor): item.sent for item in published}
+    logged: dict[tuple[int, str], int] = {}
+    reader = open_bag(run.drive.bag)
+    connections = [item for item in reader.connections if item.topic in sensors]
+    for connection, log_stamp, data in reader.messages(connections):
+        logged[header_stamp(data), sensors[connection.topic]] = log_stamp
+    reader.close()
+    if not heard:
+        raise InputError('this listener heard nothing of what was played')
+    first = min(heard, key=lambda key: heard[key])
+    return [
+        Published(round(heard[first] + (log_stamp - logged[first]) / rate), stamp, sensor)
+        for (stamp, sensor), log_stamp in logged.items()
+        if (stamp, sensor) not in heard
+    ]
+
+
+def header_stamp(message: bytes) -> int:
+    """The stamp (ns) of a serialised message: four bytes of encoding come before its header."""
+    seconds, nanoseconds = struct.unpack_from('<iI', message, 4)
+    return seconds * NANOSECONDS + nanoseconds
+
+
+def find_closings(
+    published: Sequence[Published], missed: Sequence[Published], drive: Drive
+) -> dict[tuple[int, int], Closing]:
+    """Closings by start and end (ns) of the windows that were heard completely."""
     tree: dict[str, object] = {}
     for path in drive.settings:
         tree = merge(tree, read_yaml(path))
     buffer = WindowBuffer(make_config(tree).window, drive.counts)
     sent = {(item.stamp, item.sensor): item.sent for item in published}
     closings: dict[tuple[int, int], Closing] = {}
-    for item in sorted(published, key=lambda item: item.sent):
+    for item in sorted([*published, *missed], key=lambda item: item.sent):
         buffer.push(as_measurement(item))
         for window in buffer.pop_ready():
-            own = max(sent[m.stamp, m.sensor] for m in (*window.core, *window.imu))
-            closings[window.start, window.end] = Closing(own, item.sent)
+            own = [sent.get((m.stamp, m.sensor)) for m in (*window.core, *window.imu)]
+            if None not in own and (item.stamp, item.sensor) in sent:
+                closings[window.start, window.end] = Closing(max(own), item.sent)
     return closings
 
 
