@@ -207,7 +207,8 @@ class SelectionSettings(Section):
     max_candidates: int = Field(default=1000, ge=1, le=1_000_000)
     """A window with more candidates than this is searched instead of enumerated."""
     beam_width: int = Field(default=8, ge=1, le=1000)
-    """Prefixes of every length that the search follows (mom, min_solver_error)."""
+    """Prefixes of every length that the search follows in a window of 20 measurements (mom,
+    min_solver_error); in a shorter window it follows more."""
     time_budget: float = Field(default=0.5, gt=0.0, le=600.0)
     """Seconds after which the search of one window follows fewer prefixes."""
     direct: bool = False
@@ -227,7 +228,7 @@ class MomSettings(Section):
     """Smallest neighbourhood."""
     min_family_points: int = Field(default=30, ge=1, le=100_000)
     """A plane family with fewer points does not count."""
-    max_points: int = Field(default=400, ge=10, le=100_000)
+    max_points: int = Field(default=200, ge=10, le=100_000)
     """Judging points of one window."""
     max_angle: float = Field(default=0.2, gt=0.0, le=0.7)
     """Largest angle in radians between a normal and its family's axis."""

@@ -33,7 +33,7 @@ from incremental_mapper.mapper.task import Task
 
 SHAKE = 0.04
 """Metres that scans are expected to move against each other between the prefixes of a window."""
-FINALISTS = 24
+FINALISTS = 40
 """Complete candidates that are handed on, to be solved and scored together."""
 
 

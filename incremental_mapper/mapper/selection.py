@@ -11,9 +11,11 @@ import numpy as np
 
 from incremental_mapper.candidates.clusters import Candidate, Cluster
 from incremental_mapper.candidates.enumeration import base_candidate, candidates, upper_bound
+from incremental_mapper.candidates.neighbours import neighbours
 from incremental_mapper.candidates.search import by_time_shift
 from incremental_mapper.config import MomSettings, SelectionSettings
 from incremental_mapper.criteria.criterion import (
+    Criterion,
     Mom,
     Proposal,
     StrategyPlan,
@@ -24,6 +26,10 @@ from incremental_mapper.graph.belief import Problem
 from incremental_mapper.mapper.beam import beam_search
 from incremental_mapper.mapper.task import Task
 
+PATIENCE = 15
+"""Candidates whose single decisions are changed in vain before a search ends."""
+FULL_LENGTH = 20
+"""Elements of the windows that ``selection.beam_width`` is meant for."""
 LOOKED_AT = 5000
 """Candidates after which the search for the least shifted connected one gives up."""
 
@@ -114,13 +120,19 @@ def choose(
         connected = sorted(connected, key=lambda item: item.time_shift)[:budget]
         cut = True
     clock.lap('candidates')
-    proposals = list(_propose(task, plan, connected, clock))
+    problem = Problem(task.belief, gtsam.Values(), task.max_iterations, task.watched)
+    proposals = list(_propose(task, plan, problem, connected, clock))
     # Without a scan, new or recent, there is nothing to judge a map by.
     poses = [item.poses for item, _ in proposals if item.poses is not None and len(item.poses)]
     scene = task.scenes.scene(poses) if poses else None
     criterion = plan.make(scene, mom, selection.direct)
     scores = score_all(criterion, [proposal for proposal, _ in proposals])
     clock.lap('score')
+    if cut and plan.solve and budget is None:
+        refined = _refined(task, plan, problem, criterion, proposals, scores, selection, clock)
+        enumerated += refined
+        reachable |= set(map(id, refined))
+        found += len(refined)
     verification = None
     if selection.verify and isinstance(criterion, Mom):
         verification = _verify(criterion, [proposal for proposal, _ in proposals], clock)
@@ -169,7 +181,9 @@ def _pool(
         return least, not least or bool(task.factors.components(least[-1]))
     found: list[Candidate] = []
     if plan.solve:
-        width = selection.beam_width if budget is None else min(selection.beam_width, budget)
+        # Shorter windows take no longer than one of FULL_LENGTH with the width that is set.
+        width = selection.beam_width * max(FULL_LENGTH, len(task.parts)) // len(task.parts)
+        width = width if budget is None else min(width, budget)
         # The conventional graph takes part as well, first as in an enumeration: what is found is
         # never worse than it, and the map is judged at the same points.
         base = base_candidate(task.parts, task.head, task.imu)
@@ -211,14 +225,60 @@ def _simplicity(candidate: Candidate) -> tuple[Any, ...]:
     return candidate.vertices, -len(candidate.clusters), cuts, candidate.connections
 
 
+def _refined(
+    task: Task,
+    plan: StrategyPlan,
+    problem: Problem,
+    criterion: Criterion,
+    proposals: list[tuple[Proposal, gtsam.Values | None]],
+    scores: list[float],
+    selection: SelectionSettings,
+    clock: '_Clock',
+) -> list[Candidate]:
+    """Change single decisions of the best candidates until PATIENCE of them gave nothing better.
+
+    What is tried is added to ``proposals`` and ``scores``, and returned. Ends after half of the
+    time budget at the latest.
+    """
+    until = time.perf_counter() + selection.time_budget / 2.0
+    seen = {proposal.candidate for proposal, _ in proposals}
+    added: list[Candidate] = []
+    expanded: set[int] = set()
+    idle = 0
+    while idle < PATIENCE and time.perf_counter() < until:
+        open_scores = [np.inf if i in expanded else score for i, score in enumerate(scores)]
+        best = _best(open_scores, [proposal.candidate for proposal, _ in proposals])
+        if best is None:
+            break
+        expanded.add(best)
+        before = min(scores)
+        centre = proposals[best][0].candidate
+        around = dict.fromkeys(neighbours(centre, task.parts, task.head, task.imu))
+        fresh = [
+            item
+            for item in around
+            if item not in seen
+            and (task.may_merge or not item.merges)
+            and not task.factors.components(item)
+        ]
+        seen.update(around)
+        tried = list(_propose(task, plan, problem, fresh, clock))
+        proposals += tried
+        scores += score_all(criterion, [proposal for proposal, _ in tried])
+        clock.lap('score')
+        added += fresh
+        idle = 0 if min(scores) < before else idle + 1
+    return added
+
+
 def _propose(
     task: Task,
     plan: StrategyPlan,
+    problem: Problem,
     connected: list[Candidate],
     clock: '_Clock',
 ) -> Iterator[tuple[Proposal, gtsam.Values | None]]:
     """Solve the connected candidates; what cannot be solved is left out."""
-    problem = Problem(task.belief, gtsam.Values(), task.max_iterations, task.watched)
     for candidate in connected:
         if not plan.solve:
             yield Proposal(candidate), None
