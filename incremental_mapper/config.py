@@ -209,7 +209,7 @@ class SelectionSettings(Section):
     beam_width: int = Field(default=8, ge=1, le=1000)
     """Prefixes of every length that the search follows in a window of 20 measurements (mom,
     min_solver_error); in a shorter window it follows more."""
-    time_budget: float = Field(default=0.5, gt=0.0, le=600.0)
+    time_budget: float = Field(default=0.4, gt=0.0, le=600.0)
     """Seconds after which the search of one window follows fewer prefixes."""
     direct: bool = False
     """Search the neighbourhoods again at every candidate's poses (slow, for verification)."""

@@ -39,6 +39,9 @@ def _thin(parts: list[NDArray[np.float32]], voxel_size: float) -> NDArray[np.flo
     points = np.concatenate(parts)
     if len(points) == 0:
         return points
+    if len(points) <= 4 * CHUNK:
+        corner = np.floor(points.mean(axis=0, dtype=np.float64) / voxel_size) * voxel_size
+        return _sampled(points, corner, voxel_size)
     # Tiles hold whole voxels, and each is sampled around its own corner: the sampler works in
     # double precision on a grid of 21 bits an axis, which a whole drive would not fit into.
     side = max(round(TILE / voxel_size), 1) * voxel_size
@@ -49,9 +52,16 @@ def _thin(parts: list[NDArray[np.float32]], voxel_size: float) -> NDArray[np.flo
     thinned = []
     for low, high in zip([0, *edges], [*edges, len(points)], strict=True):
         corner = np.append(tiles[low] * side, 0.0)
-        sampled = small_gicp.voxelgrid_sampling(points[low:high] - corner, voxel_size)
-        thinned.append((sampled.points()[:, :3] + corner).astype(np.float32))
+        thinned.append(_sampled(points[low:high], corner, voxel_size))
     return np.concatenate(thinned)
+
+
+def _sampled(
+    points: NDArray[np.float32], corner: NDArray[np.float64], voxel_size: float
+) -> NDArray[np.float32]:
+    sampled = small_gicp.voxelgrid_sampling(points - corner, voxel_size).points()
+    placed: NDArray[np.float32] = (sampled[:, :3] + corner).astype(np.float32)
+    return placed
 
 
 def write_ply(path: Path, points: NDArray[np.floating]) -> None:

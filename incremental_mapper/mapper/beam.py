@@ -33,8 +33,9 @@ from incremental_mapper.mapper.task import Task
 
 SHAKE = 0.04
 """Metres that scans are expected to move against each other between the prefixes of a window."""
-FINALISTS = 40
-"""Complete candidates that are handed on, to be solved and scored together."""
+FINALISTS = 240
+"""Elements in the complete candidates that are handed on, to be solved and scored together:
+the longer a window, the more each of them costs."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,7 +91,9 @@ class _Search:
                 for longer in self._extensions(prefix):
                     layers[longer.position].append(longer)
                     extended += 1
-        return [prefix.candidate for prefix in self._best(layers[count], FINALISTS)]
+        return [
+            prefix.candidate for prefix in self._best(layers[count], max(FINALISTS // count, 8))
+        ]
 
     def _best(self, layer: list[Prefix], count: int) -> list[Prefix]:
         """The best ``count`` of prefixes of the same length, best first."""

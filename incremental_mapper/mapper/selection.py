@@ -26,6 +26,8 @@ from incremental_mapper.graph.belief import Problem
 from incremental_mapper.mapper.beam import beam_search
 from incremental_mapper.mapper.task import Task
 
+AT_ONCE = 6
+"""Candidates that are solved between two looks at the clock."""
 PATIENCE = 15
 """Candidates whose single decisions are changed in vain before a search ends."""
 FULL_LENGTH = 20
@@ -262,11 +264,15 @@ def _refined(
             and not task.factors.components(item)
         ]
         seen.update(around)
-        tried = list(_propose(task, plan, problem, fresh, clock))
-        proposals += tried
-        scores += score_all(criterion, [proposal for proposal, _ in tried])
-        clock.lap('score')
-        added += fresh
+        for start in range(0, len(fresh), AT_ONCE):
+            if time.perf_counter() >= until:
+                break
+            some = fresh[start : start + AT_ONCE]
+            tried = list(_propose(task, plan, problem, some, clock))
+            proposals += tried
+            scores += score_all(criterion, [proposal for proposal, _ in tried])
+            clock.lap('score')
+            added += some
         idle = 0 if min(scores) < before else idle + 1
     return added
 
