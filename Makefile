@@ -4,6 +4,9 @@ DEMO_SECONDS ?= 15
 DEMO_DIR ?= demo_out
 TIMING ?= kaist_timing
 TABLE_DIR ?= table_out
+BENCH_DIR ?= bench_out
+BENCH_LONG ?= 600
+BENCH_HOUR ?= 60
 TABLE_CONFIG ?= config/kaist.yaml
 JOBS ?= 1
 
@@ -12,19 +15,21 @@ INSTALLED := .venv/.installed
 MAPPER := $(BIN)/incremental_mapper
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help install demo table test lint types check format clean
+.PHONY: help install demo table bench test lint types check format clean
 
 help:
 	@echo 'make demo    simulate a drive of DEMO_SECONDS ($(DEMO_SECONDS)) seconds, map it, draw it, play it'
 	@echo '             into the ROS node and check that the node makes the same of it'
 	@echo 'make table   evaluate all strategies on simulated drives with the stamps of the paper, which'
 	@echo '             TIMING=DIR holds, and write docs/table.md, .csv and .tex; JOBS=N side by side'
+	@echo 'make bench   all figures of the speed in one table; BENCH_LONG=S and BENCH_HOUR=MIN set the'
+	@echo '             long drives (600 s and 60 min, 0 leaves them out); takes an hour'
 	@echo 'make test    run the tests'
 	@echo 'make lint    ruff and the import contracts'
 	@echo 'make types   mypy'
 	@echo 'make check   lint, types and test'
 	@echo 'make format  let ruff mend formatting and imports'
-	@echo 'make clean   remove .venv, caches and the output of demo and table'
+	@echo 'make clean   remove .venv, caches and the output of demo, table and bench'
 	@echo 'PYTHON=python3.12 chooses the interpreter that .venv is made with (3.11 or later)'
 
 install: $(INSTALLED)
@@ -63,6 +68,9 @@ table: $(INSTALLED)
 	cp $(TABLE_DIR)/evaluation/table.md $(TABLE_DIR)/evaluation/table.csv \
 		$(TABLE_DIR)/evaluation/table.tex docs
 
+bench: $(INSTALLED)
+	$(BIN)/python benchmarks/bench.py $(BENCH_DIR) --long $(BENCH_LONG) --hour $(BENCH_HOUR)
+
 test: $(INSTALLED)
 	$(BIN)/python -m pytest
 
@@ -81,5 +89,5 @@ format: $(INSTALLED)
 	$(BIN)/ruff format .
 
 clean:
-	rm -rf .venv $(DEMO_DIR) $(TABLE_DIR) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache \
+	rm -rf .venv $(DEMO_DIR) $(BENCH_DIR) $(TABLE_DIR) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache \
 		.hypothesis .import_linter_cache

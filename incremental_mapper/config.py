@@ -165,10 +165,10 @@ class GnssSettings(Section):
 
 
 class GraphSettings(Section):
-    """Priors, and the smoother that G(t) is kept in."""
+    """Priors, and how G(t) is solved."""
 
     lag: float = Field(default=2.0, ge=0.0, le=60.0)
-    """Seconds of the newest part of G(t) that is optimised again with every window."""
+    """Seconds of the newest part of G(t) that still follows new measurements."""
     final_optimization: bool = True
     """Optimise all of G(t) once more before it is saved."""
     motion_compensation: bool = False
@@ -232,7 +232,7 @@ class MomSettings(Section):
     """Judging points of one window."""
     max_angle: float = Field(default=0.2, gt=0.0, le=0.7)
     """Largest angle in radians between a normal and its family's axis."""
-    voxel_size: float = Field(default=0.6, gt=0.0, le=5.0)
+    voxel_size: float = Field(default=0.8, gt=0.0, le=5.0)
     """Scans are thinned to this grid, in metres, before they are scored."""
     submap_scans: int = Field(default=4, ge=1, le=MOST_SUBMAP_SCANS)
     """Scans of G(t-1) that the new scans are compared with."""
