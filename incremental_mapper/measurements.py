@@ -94,7 +94,8 @@ def make_scan(
             'bad_shape', f'{sensor} at {stamp}: points have shape {points.shape}, expected (N, 3)'
         )
     # Not finite where a coordinate is not, and 0 at the origin only; one pass over each column.
-    distance = np.abs(points[:, 0]) + np.abs(points[:, 1]) + np.abs(points[:, 2])
+    with np.errstate(over='ignore'):
+        distance = np.abs(points[:, 0]) + np.abs(points[:, 1]) + np.abs(points[:, 2])
     keep = np.isfinite(distance) & (distance > 0)
     if point_times is not None:
         keep &= np.isfinite(point_times)

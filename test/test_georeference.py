@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from incremental_mapper.candidates.clusters import CoreKind, CoreMeasurement
 from incremental_mapper.config import make_config
 from incremental_mapper.mapper.front_end import PreparedFix
-from incremental_mapper.mapper.georeference import fix_spread, moved_enough
+from incremental_mapper.mapper.georeference import agreeing_track, fix_spread
 from incremental_mapper.mapper.mapper import Mapper
 from incremental_mapper.mapper.state import GraphState, PlacedFix
 from incremental_mapper.measurements import FixStatus, GnssFix, ImuSample, LidarScan
@@ -119,24 +119,37 @@ def placed(east, sigma=0.05):
 
 
 @pytest.mark.parametrize(
-    ('fixes', 'enough'),
+    ('east', 'sigma', 'enough'),
     [
-        ([], False),
-        ([placed(0.0)], False),
-        ([placed(0.0), placed(1.9)], False),
-        ([placed(0.0), placed(2.1)], True),
-        ([placed(0.0), placed(2.1), placed(0.1)], True),
-        ([placed(0.0, 1.0), placed(6.0, 1.0)], False),
-        ([placed(0.0, 1.0), placed(7.5, 1.0)], True),
+        ([0.0, 1.9], 0.05, False),
+        ([0.0, 2.1], 0.05, True),
+        ([0.0, 2.1, 0.1], 0.05, True),
+        ([0.0, 6.0], 1.0, False),
+        ([0.0, 7.5], 1.0, True),
     ],
 )
-def test_track_must_be_longer_than_the_setting_and_than_its_noise(fixes, enough):
-    assert moved_enough(GraphState(fixes=fixes), 2.0) is enough
+def test_track_must_be_longer_than_the_setting_and_than_its_noise(east, sigma, enough):
+    track = np.array([[x, 0.0, 0.0] for x in east])
+    turned = track @ Rotation.from_euler('z', 1.0).as_matrix().T
+    found = agreeing_track(track, turned, np.full(len(track), sigma), 2.0)
+    assert (found is not None) is enough
+    if enough:
+        assert found.tolist() == list(range(len(track)))
 
 
-def test_map_is_georeferenced_once_only():
-    state = GraphState(fixes=[placed(0.0), placed(100.0)], georeferenced=True)
-    assert not moved_enough(state, 2.0)
+@pytest.mark.parametrize('wrong', [0, 2, 4])
+def test_fix_that_disagrees_with_odometry_is_not_part_of_the_track(wrong):
+    local = np.array([[1.5 * i, 0.1 * i, 0.0] for i in range(5)])
+    enu = local + [100.0, -30.0, 0.0]
+    enu[wrong] += [0.0, 60.0, 0.0]
+    found = agreeing_track(enu, local, np.full(5, 0.05), 2.0)
+    assert found.tolist() == [i for i in range(5) if i != wrong]
+
+
+def test_fixes_that_all_disagree_make_no_track():
+    local = np.array([[1.0 * i, 0.0, 0.0] for i in range(3)])
+    enu = np.array([[0.0, 0.0, 0.0], [70.0, 0.0, 0.0], [0.0, 150.0, 0.0]])
+    assert agreeing_track(enu, local, np.full(3, 0.05), 2.0) is None
 
 
 def test_fix_is_trusted_the_less_the_further_it_is_from_the_first_while_the_yaw_is_unknown():

@@ -100,13 +100,13 @@ def test_processes_end_with_the_mapper(opened):
     mapper = Mapper(config, list(source.info.counts))
     for measurement in source.measurements():
         mapper.push(measurement)
-    children = child_commands()
-    assert sum('scan_worker' in command for command in children.values()) == 2
+    assert len(workers()) == 2
     mapper.close()
-    assert not children.keys() & child_commands().keys()
+    assert workers() == []
 
 
-def child_commands():
-    """Commands of this process's children by their number."""
+def workers():
+    """Commands of this process's children that prepare scans."""
     children = Path(f'/proc/self/task/{os.getpid()}/children').read_text(encoding='ascii')
-    return {number: Path(f'/proc/{number}/cmdline').read_text() for number in children.split()}
+    commands = [Path(f'/proc/{number}/cmdline').read_text() for number in children.split()]
+    return [command for command in commands if 'scan_worker' in command]

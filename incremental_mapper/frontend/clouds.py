@@ -65,7 +65,8 @@ def to_base(
     # A float32 resolves 80 m to 8 um, the sensor resolves 2 mm.
     matrix = T_base_lidar.astype(np.float32)
     rows = matrix[:3, :3] @ scan.points.T
-    squares = (rows * rows).sum(axis=0)
+    with np.errstate(over='ignore'):  # what is absurdly far off is out of range as infinity too
+        squares = (rows * rows).sum(axis=0)
     keep = np.flatnonzero((squares >= min_range**2) & (squares <= max_range**2))
     rows = rows.take(keep, axis=1) + matrix[:3, 3:]
     if scan.point_times is None or not with_times:

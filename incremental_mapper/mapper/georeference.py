@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 
 import gtsam
 import numpy as np
+from numpy.typing import NDArray
 
 from incremental_mapper.config import Config
 from incremental_mapper.frontend.geodesy import IDENTITY_ALIGNMENT, align_track
@@ -25,6 +26,14 @@ from incremental_mapper.mapper.front_end import Prepared, PreparedFix
 from incremental_mapper.mapper.state import GraphState
 from incremental_mapper.trajectory import NANOSECONDS
 
+MOST_FIXES = 40
+"""Newest fixes that are looked at for a track; a car may stand for long before it moves."""
+DISAGREEMENT = 5.0
+"""How many times longer a way may be by the fixes than by odometry, or the other way round: the
+worst matcher under-reads by so much."""
+SLACK = 1.0
+"""Metres by which the two may differ in any case."""
+
 
 def fix_spread(state: GraphState, items: Sequence[Prepared]) -> Mapping[int, float]:
     """Extra standard deviation in metres of each fix, by stamp, while the yaw is unknown."""
@@ -37,16 +46,27 @@ def fix_spread(state: GraphState, items: Sequence[Prepared]) -> Mapping[int, flo
     return {fix.core.stamp: 2.0 * float(np.linalg.norm((fix.enu - first)[:2])) for fix in fixes}
 
 
-def moved_enough(state: GraphState, min_distance: float) -> bool:
-    """Whether the fixes so far fix the yaw: the track must stand out from its noise."""
-    if state.georeferenced or len(state.fixes) < 2:
-        return False
-    first = state.fixes[0]
-    for fix in state.fixes[1:]:
-        noise = np.sqrt(first.covariance[0, 0] + fix.covariance[0, 0])
-        if np.linalg.norm((fix.enu - first.enu)[:2]) > max(min_distance, 5.0 * float(noise)):
-            return True
-    return False
+def agreeing_track(
+    enu: NDArray[np.float64],
+    local: NDArray[np.float64],
+    sigmas: NDArray[np.float64],
+    min_distance: float,
+) -> NDArray[np.intp] | None:
+    """Which fixes tell the yaw, by their positions; None as long as none do.
+
+    ``enu`` and ``local`` (K, 3) are where the fixes and where odometry put the antenna, metres;
+    ``sigmas`` (K,) are the fixes' standard deviations. Two fixes agree where both say about the
+    same of the way between them; the largest set that agrees with one of its own is the track.
+    It must stand out from its noise. A fix that is far off agrees with no other.
+    """
+    there = np.linalg.norm((enu[:, None] - enu)[..., :2], axis=-1)
+    here = np.linalg.norm((local[:, None] - local)[..., :2], axis=-1)
+    noise = np.hypot(sigmas[:, None], sigmas)
+    slack = 5.0 * noise + SLACK
+    agree = (there <= DISAGREEMENT * here + slack) & (here <= DISAGREEMENT * there + slack)
+    anchor = int(agree.sum(axis=1).argmax())
+    far = agree[anchor] & (there[anchor] > np.maximum(min_distance, 5.0 * noise[anchor]))
+    return np.flatnonzero(agree[anchor]) if far.any() else None
 
 
 def georeference(state: GraphState, config: Config) -> bool:
@@ -54,11 +74,16 @@ def georeference(state: GraphState, config: Config) -> bool:
 
     Returns whether it was done. Costs one solve of all of G(t), once in a drive.
     """
-    if not moved_enough(state, config.fixes.min_distance):
+    if state.georeferenced or len(state.fixes) < 2:
         return False
-    enu = np.array([fix.enu for fix in state.fixes])
-    local = np.array([state.pose(fix.cluster).transformFrom(fix.lever_arm) for fix in state.fixes])
-    yaw, shift = align_track(enu, local)
+    latest = state.fixes[-MOST_FIXES:]
+    enu = np.array([fix.enu for fix in latest])
+    local = np.array([state.pose(fix.cluster).transformFrom(fix.lever_arm) for fix in latest])
+    sigmas = np.sqrt([fix.covariance[0, 0] for fix in latest])
+    track = agreeing_track(enu, local, sigmas, config.fixes.min_distance)
+    if track is None:
+        return False
+    yaw, shift = align_track(enu[track], local[track])
     T_enu_map = gtsam.Pose3(gtsam.Rot3.Yaw(yaw), shift)
     turned = _turn(state.all_values(), T_enu_map)
     factors = [_turned_prior(factor, T_enu_map, config) for factor in state.factors]
