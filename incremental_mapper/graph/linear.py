@@ -16,7 +16,7 @@ from scipy.linalg.lapack import dposv
 Array = NDArray[np.float64]
 
 
-@lru_cache(maxsize=65_536)
+@lru_cache(maxsize=4096)
 def dimension(key: int) -> int:
     """Tangent dimension of a variable: 6 for a pose or a bias, 3 for a velocity."""
     return 3 if gtsam.Symbol(key).chr() == ord('v') else 6
