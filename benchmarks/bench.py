@@ -23,7 +23,7 @@ import numpy as np
 from long_drive import RepeatedDrive
 
 import incremental_mapper.mapper.mapper as mapper_module
-from incremental_mapper.config import Tree, merge, read_yaml
+from incremental_mapper.config import Tree, make_config, merge, read_yaml
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.datasets.simulated.folder import simulate
 from incremental_mapper.datasets.simulated.options import MotionKind, SimulationOptions
@@ -92,16 +92,11 @@ def scoring(folder: Path, tree: Tree) -> dict[str, Any]:
 def six_lidars(folder: Path, tree: Tree) -> dict[str, Any]:
     """Windows of six scans of six LiDARs: 243 candidates, all solved and scored."""
     source = open_source(folder, tree)
-    settings = merge(source.info.settings, tree)
-    sides = settings['lidars']
+    sides = source.info.settings['lidars']
     names = [f'{side}_{turn}' for turn in range(SIX // 2) for side in sides['names']]
     lidars = {name: sides[name.rsplit('_', 1)[0]] for name in names}
-    tree = merge(tree, {'window': {'duration': 0.3}})
-    tree = merge(
-        {**source.info.settings, 'lidars': {'names': names, **lidars}}, {**tree, 'lidars': {}}
-    )
-    tree['lidars'] = {'names': names, **lidars}
-    config = settle_config(source, tree, 'the settings')
+    settings = {**source.info.settings, 'lidars': {'names': names, **lidars}}
+    config = make_config(merge(settings, merge(tree, {'window': {'duration': 0.3}})))
     taken: list[float] = []
 
     def timed(task: Task, *rest: Any) -> Choice:
@@ -312,16 +307,20 @@ def main() -> None:
         drive(args.work, args.seconds)
         if args.long > 0 or args.hour > 0:
             drive(args.work, args.long or args.seconds)
-        parts = {}
+        parts, failed = {}, list[str]()
         for name in names:
             print(f'{name} ...', file=sys.stderr, flush=True)
             call = [sys.executable, __file__, str(args.work), '--only', name]
             call += ['--seconds', str(args.seconds), '--long', str(args.long)]
             call += ['--hour', str(args.hour), '--config', str(args.config)]
-            done = subprocess.run(call, check=True, capture_output=True, text=True)
+            done = subprocess.run(call, capture_output=True, text=True)
+            if done.returncode:
+                print(done.stderr, file=sys.stderr)
+                failed.append(name)
+                continue
             parts[name] = json.loads(done.stdout.splitlines()[-1])
         print(report(parts))
-        return
+        sys.exit(f'failed: {", ".join(failed)}' if failed else 0)
     short = drive(args.work, args.seconds)
     if args.only == 'long':
         done = whole(drive(args.work, args.long), tree)
