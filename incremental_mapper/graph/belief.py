@@ -27,6 +27,8 @@ from incremental_mapper.graph.solver import (
 
 AGREEMENT = 1e-4
 """A solve has converged where the linear error is the true one to this, relative to 1 + error."""
+HALVINGS = 8
+"""How often a step is halved until it makes the cost smaller."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,19 +124,25 @@ class Problem:
                 return None
             expected = sum(row.error(step[own]) for row, own in zip(rows, columns, strict=True))
             before = error + float(total @ prior @ total)
-            for _ in range(6):
+            better = False
+            for _ in range(HALVINGS):
                 moved = values.retract(layout.vector_values(step))
-                error, there = squared_error(factors, moved), total + step
-                if error + float(there @ prior @ there) <= before * (1.0 + 1e-6) + 1e-9:
+                reached, there = squared_error(factors, moved), total + step
+                better = reached + float(there @ prior @ there) <= before * (1.0 + 1e-6) + 1e-9
+                if better:
                     break
                 step = step / 2.0
                 expected = np.inf
-            values, total = moved, there
+            if not better:
+                break  # no shorter step helps either: this is as good as it gets
+            values, total, error = moved, there, reached
             if not np.isfinite(error):
                 return None
             if abs(error - expected) <= AGREEMENT * (1.0 + expected):
                 break
             rows = [linearize(factor, values) for factor in factors]
+        if not np.isfinite(error):
+            return None
         followed = self._followers.vector_values(self._slopes @ total[:width])
         return Solved(values.retract(followed), error, error + float(total @ prior @ total))
 
