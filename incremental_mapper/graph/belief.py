@@ -8,7 +8,7 @@ window.
 """
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import chain
 
 import gtsam
@@ -63,7 +63,7 @@ class Belief:
 class Solved:
     """Optimised variables.
 
-    ``values`` has the new estimates, those of watched followers included. ``error`` is
+    ``values`` has the new estimates, those of followers included. ``error`` is
     Σ‖h(x)−z‖²_Σ of the factors, ``cost`` the same with what the belief says against the step.
     """
 
@@ -76,23 +76,13 @@ class Problem:
     """Solves sets of factors on top of a belief; what sets share is linearised once.
 
     ``initial`` holds the new variables; more may be inserted into ``values`` between solves.
-    Of the belief's followers those in ``watched`` are moved along, by default all.
+    The belief's followers are moved along.
     """
 
-    def __init__(
-        self,
-        belief: Belief,
-        initial: gtsam.Values,
-        max_iterations: int,
-        watched: Collection[int] | None = None,
-    ) -> None:
+    def __init__(self, belief: Belief, initial: gtsam.Values, max_iterations: int) -> None:
         self._belief = belief
         self._information = belief.root.T @ belief.root
-        self._followers, self._slopes = Layout(belief.followers), belief.slopes
-        if watched is not None:
-            wanted = [key for key in belief.followers if key in watched]
-            self._slopes = belief.slopes[self._followers.columns(wanted)]
-            self._followers = Layout(wanted)
+        self._followers = Layout(belief.followers)
         self._max_iterations = max_iterations
         self._rows: dict[gtsam.NonlinearFactor, Rows] = {}
         self.values = gtsam.Values(belief.values)
@@ -136,14 +126,12 @@ class Problem:
             if not better:
                 break  # no shorter step helps either: this is as good as it gets
             values, total, error = moved, there, reached
-            if not np.isfinite(error):
-                return None
             if abs(error - expected) <= AGREEMENT * (1.0 + expected):
                 break
             rows = [linearize(factor, values) for factor in factors]
         if not np.isfinite(error):
             return None
-        followed = self._followers.vector_values(self._slopes @ total[:width])
+        followed = self._followers.vector_values(self._belief.slopes @ total[:width])
         return Solved(values.retract(followed), error, error + float(total @ prior @ total))
 
     def _shared(self, factor: gtsam.NonlinearFactor) -> Rows:
@@ -231,6 +219,13 @@ def shrink(belief: Belief, keep: Collection[int], oldest: int) -> tuple[Belief, 
         healthy=belief.healthy,
     )
     return smaller, gone
+
+
+def trimmed(belief: Belief, followers: Collection[int]) -> Belief:
+    """The belief with no other followers than these."""
+    layout = Layout(belief.followers)
+    kept = [key for key in belief.followers if key in followers]
+    return replace(belief, followers=tuple(kept), slopes=belief.slopes[layout.columns(kept)])
 
 
 def belief_of(

@@ -8,7 +8,7 @@ placed yet where dead reckoning from its last cluster puts them.
 """
 
 import time
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import gtsam
@@ -27,7 +27,6 @@ from incremental_mapper.criteria.criterion import (
 )
 from incremental_mapper.graph.belief import Belief, extend, shrink
 from incremental_mapper.graph.factors import pose_key
-from incremental_mapper.graph.linear import Layout
 from incremental_mapper.graph.solver import copy_value
 from incremental_mapper.mapper.task import Task
 
@@ -83,7 +82,7 @@ class _Search:
         start = Candidate((), ())
         node = None if task.head is None else HEAD
         layers: list[list[Prefix]] = [[] for _ in range(count + 1)]
-        layers[0].append(Prefix(0, start, node, trimmed(task.belief, task.watched), 0.0))
+        layers[0].append(Prefix(0, start, node, task.belief, 0.0))
         began, extended = time.perf_counter(), 0
         for position in range(count):
             layer, layers[position] = layers[position], []
@@ -236,7 +235,7 @@ class _Search:
             pose = correction.compose(factors.predicted(single.stamp))
             values.insert(pose_key(factors.local_id(single)), pose)
             clusters.append(single)
-        return self._task.scenes.poses(Candidate(tuple(clusters), ()), values, None)
+        return self._task.scenes.poses(Candidate(tuple(clusters), ()), values)
 
     def _make_criterion(self, plan: StrategyPlan, mom: MomSettings) -> Criterion:
         if not plan.scene:
@@ -259,10 +258,3 @@ def _shaken(poses: NDArray[np.float64]) -> list[NDArray[np.float64]]:
         moved[:, :3, 3] += sign * steps
         shaken.append(moved)
     return shaken
-
-
-def trimmed(belief: Belief, followers: Collection[int]) -> Belief:
-    """The belief without the followers that a search need not move."""
-    layout = Layout(belief.followers)
-    kept = [key for key in belief.followers if key in followers]
-    return replace(belief, followers=tuple(kept), slopes=belief.slopes[layout.columns(kept)])

@@ -16,6 +16,7 @@ from incremental_mapper.candidates.spans import ImuStamps
 from incremental_mapper.config import Config
 from incremental_mapper.criteria.criterion import strategy_plan
 from incremental_mapper.frontend.inertial import EMPTY_SERIES, preintegration_parameters
+from incremental_mapper.graph.belief import trimmed
 from incremental_mapper.graph.factors import Factor, pose_key
 from incremental_mapper.graph.solver import (
     copy_value,
@@ -251,8 +252,9 @@ class Mapper:
             imu=ImuStamps(self._series.stamps, self._imu_gap),
             factors=factors,
             scenes=scenes,
-            belief=self._state.belief,
-            watched=frozenset(self._state.recent_poses(self.config.mom.submap_scans)),
+            belief=trimmed(
+                self._state.belief, self._state.recent_poses(self.config.mom.submap_scans)
+            ),
             # How far a merged measurement must be moved is unknown before the velocity is.
             may_merge=self._state.velocity_known or not self.config.graph.motion_compensation,
             max_iterations=self.config.graph.max_iterations,

@@ -60,12 +60,10 @@ class SceneBuilder:
             origin=states[max(states)].pose.translation(),
         )
 
-    def poses(
-        self, candidate: Candidate, values: gtsam.Values, steps: gtsam.VectorValues | None
-    ) -> NDArray[np.float64]:
+    def poses(self, candidate: Candidate, values: gtsam.Values) -> NDArray[np.float64]:
         """Poses T_map_base (S, 4, 4) of the scene's moving scans under a candidate.
 
-        ``values`` are the solved variables, ``steps`` the tangent steps of the lag's others.
+        ``values`` are the solved variables, with the lag's others that move along.
         """
         owner = {core: cluster for cluster in candidate.clusters for core in cluster.members}
         poses = []
@@ -76,11 +74,7 @@ class SceneBuilder:
             poses.append(pose.compose(offset).matrix())
         for scan, _ in self._touched:
             key = pose_key(scan.cluster)
-            if values.exists(key):
-                pose = values.atPose3(key)
-            else:
-                pose = self._state.pose(scan.cluster)
-                pose = pose if steps is None else pose.retract(steps.at(key))
+            pose = values.atPose3(key) if values.exists(key) else self._state.pose(scan.cluster)
             poses.append(pose.compose(scan.T_cluster_scan).matrix())
         return np.array(poses).reshape(-1, 4, 4)
 

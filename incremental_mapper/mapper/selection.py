@@ -122,7 +122,7 @@ def choose(
         connected = sorted(connected, key=lambda item: item.time_shift)[:budget]
         cut = True
     clock.lap('candidates')
-    problem = Problem(task.belief, gtsam.Values(), task.max_iterations, task.watched)
+    problem = Problem(task.belief, gtsam.Values(), task.max_iterations)
     proposals = list(_propose(task, plan, problem, connected, clock))
     # Without a scan, new or recent, there is nothing to judge a map by.
     poses = [item.poses for item, _ in proposals if item.poses is not None and len(item.poses)]
@@ -294,7 +294,7 @@ def _propose(
         solved = problem.solve(factors)
         if solved is None:
             continue
-        poses = task.scenes.poses(candidate, solved.values, None) if plan.scene else None
+        poses = task.scenes.poses(candidate, solved.values) if plan.scene else None
         clock.lap('solve')
         yield Proposal(candidate, solved.error, poses), solved.values
 

@@ -13,8 +13,8 @@ from incremental_mapper.mapper.scenes import SceneBuilder
 class Task:
     """A window's elements, their factors, and what they are judged on.
 
-    ``belief`` is what G(t-1) says of its frontier, and ``watched`` are the keys of the earlier
-    poses that candidates are judged by. ``head`` is the stamp and ``head_cluster`` the number of
+    ``belief`` is what G(t-1) says of its frontier; its followers are the earlier poses that
+    candidates are judged by. ``head`` is the stamp and ``head_cluster`` the number of
     the cluster to connect from. Without ``may_merge`` candidates that merge are taken only where
     no other is connected.
     """
@@ -26,6 +26,5 @@ class Task:
     factors: WindowFactors
     scenes: SceneBuilder
     belief: Belief
-    watched: frozenset[int]
     may_merge: bool
     max_iterations: int
