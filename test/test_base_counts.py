@@ -113,14 +113,18 @@ def test_base_graph_has_a_cluster_per_measurement_and_a_span_per_covered_pair(na
     assert stats['vertices'] == len(rows) + 2 * sum(inertial)
     assert stats['dropped'] == {}
     assert stats['notes'] == {}
-    # Priors: the first pose, and velocity and bias where a chain of spans starts.
+    # Priors: the first pose, and the first velocity and bias. Where a chain of spans starts anew,
+    # a bias goes on from the one before it, and a velocity too where that is not long ago.
     starts = sum(now and not before for before, now in pairwise([False, *covered]))
-    assert kinds['prior_velocity'] == kinds['prior_bias'] == starts
+    assert kinds['prior_bias'] == 1
+    assert kinds.get('continuity_bias', 0) == starts - 1
+    assert kinds['prior_velocity'] + kinds.get('continuity_velocity', 0) == starts
     assert kinds['prior_pose'] == 1 + stats['weak_priors']
     # What is counted without building the graph is what the graph has.
     assert stats['base_clusters'] == stats['clusters']
     assert stats['base_vertices'] == stats['vertices']
     assert stats['base_factors'] == stats['factors'] - stats['weak_priors']
+    assert stats['base_factors_by_kind'] == {**kinds, 'prior_pose': 1}
 
 
 @pytest.mark.parametrize('name', SEQUENCES)

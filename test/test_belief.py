@@ -12,11 +12,12 @@ from incremental_mapper.graph.factors import (
     FactorKind,
     between_factor,
     bias_key,
-    inertial_priors,
+    bias_prior,
     pose_key,
     pose_prior,
     pose_sigmas,
     velocity_key,
+    velocity_prior,
 )
 from incremental_mapper.graph.linear import Layout, solve_scaled
 from incremental_mapper.graph.solver import make_graph, optimize, squared_error
@@ -117,6 +118,24 @@ def test_belief_stays_small_however_long_the_drive_and_what_left_it_is_gone():
     assert held == {pose_key(cluster) for cluster in long.clusters}
     assert held == {*long.keys, *long.followers}
     assert held.isdisjoint(left)
+
+
+def test_what_a_solve_that_was_cut_short_leaves_is_caught_up_later():
+    belief, everything, start = Belief(), [], gtsam.Values()
+    rng = np.random.default_rng(4)
+    for i, factors, initial in drive(25, seed=4):
+        off, last = gtsam.Values(), i == 24
+        off.insert(pose_key(i), noisy(initial.atPose3(pose_key(i)), rng, 0.0 if last else 0.1))
+        everything.extend(factors)
+        start.insert(initial)
+        # A single step from a bad place does not get there.
+        belief, _ = extend(belief, factors, off, {i: i}, 20 if last else 1)
+        assert last or np.abs(belief.root.T @ belief.rhs).max() > 0.0
+        belief, _ = shrink(belief, {i}, 0)
+    batch = optimize(make_graph(everything), start, 100).values
+    assert difference(batch, belief.values, pose_key(24)) < 3e-3
+    for i in (20, 22):
+        assert difference(batch, belief.values, pose_key(i)) < 3e-3
 
 
 def test_cluster_that_is_still_needed_stays_in_the_frontier_whatever_its_age():
@@ -248,7 +267,10 @@ def test_belief_with_velocities_and_biases_has_the_graph_s_marginals():
     bias = gtsam.imuBias.ConstantBias()
     for i, own, initial in drive(6, seed=9):
         values.insert(initial)
-        priors = inertial_priors(i, np.array([1.0, 0.0, 0.0]), 0.5, bias, GraphSettings(), 0)
+        priors = [
+            velocity_prior(velocity_key(i), np.array([1.0, 0.0, 0.0]), 0.5, 0),
+            bias_prior(bias_key(i), bias, GraphSettings(), 0),
+        ]
         values.insert(velocity_key(i), np.array([1.0, 0.0, 0.0]))
         values.insert(bias_key(i), bias)
         factors += [*own, *(prior.factor for prior in priors)]

@@ -171,8 +171,10 @@ def test_imu_gap_of_half_a_second(map_light, light_copy):
     assert any(last <= begin + 10**8 for _, last in spans)
     assert any(first >= end - 10**8 for first, _ in spans)
     assert not any(first <= begin and last >= end for first, last in spans)
-    # Velocity and bias start anew behind the gap.
+    # The velocity starts anew behind the gap; the bias is that of the same sensor.
     assert run.stats['factors_by_kind']['prior_velocity'] == 2
+    assert run.stats['factors_by_kind']['prior_bias'] == 1
+    assert run.stats['factors_by_kind']['continuity_bias'] == 1
     assert worst_offset(run, light_copy) < 0.5
 
 

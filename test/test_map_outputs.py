@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from incremental_mapper.datasets.truth import read_truth
 from incremental_mapper.evaluation.trajectory_error import match_truth
+from incremental_mapper.graph.factors import FactorKind
 
 KEYS = [
     'strategy',
@@ -48,7 +49,7 @@ KEYS = [
     'input',
     'interrupted',
 ]
-FACTOR_KINDS = {'odometry', 'gnss', 'imu', 'prior_pose', 'prior_velocity', 'prior_bias', 'bridge'}
+FACTOR_KINDS = {str(kind) for kind in FactorKind}
 VALUES = {'pose': 7, 'velocity': 3, 'bias': 6}
 LETTERS = {'pose': 'x', 'velocity': 'v', 'bias': 'b'}
 PICTURES = ('trajectory.png', 'map.png', 'graph.png')

@@ -29,6 +29,16 @@ class ImuSeries:
         """The samples at positions [low, high)."""
         return ImuSeries(self.stamps[low:high], self.gyro[low:high], self.acceleration[low:high])
 
+    def within(self, start: int, end: int) -> 'ImuSeries':
+        """The samples with start <= stamp < end."""
+        low, high = np.searchsorted(self.stamps, (start, end), side='left')
+        return self.part(int(low), int(high))
+
+    def nearest(self, stamp: int) -> 'ImuSeries':
+        """The one sample nearest to ``stamp``; empty where there are none."""
+        low = int(np.abs(self.stamps - stamp).argmin()) if len(self.stamps) else 0
+        return self.part(low, low + 1)
+
     def joined(self, samples: Sequence[ImuSample]) -> 'ImuSeries':
         """This series with newer samples behind it."""
         if not samples:
@@ -70,19 +80,28 @@ def preintegrate(
     Each sample stands for the time nearest to it, so the pieces before the first and after the
     last sample are covered too. Raises ValueError where the span holds no sample.
     """
-    low, high = np.searchsorted(series.stamps, (start, end), side='left')
-    stamps = series.stamps[low:high]
-    if len(stamps) == 0:
+    samples = series.within(start, end)
+    if len(samples.stamps) == 0:
         raise ValueError(f'no IMU sample between {start} and {end}')
+    return integrate(samples, start, end, parameters, bias)
+
+
+def integrate(
+    samples: ImuSeries,
+    start: int,
+    end: int,
+    parameters: gtsam.PreintegrationCombinedParams,
+    bias: gtsam.imuBias.ConstantBias,
+) -> gtsam.PreintegratedCombinedMeasurements:
+    """As ``preintegrate``, with these ``samples``, one or more, wherever they lie."""
+    stamps = samples.stamps
     # Stamps are subtracted as integers: doubles hold epoch nanoseconds to 256 ns only.
     inner = (stamps[:-1] - start + stamps[1:] - start) / 2.0
     edges = np.concatenate(([0.0], inner, [float(end - start)])) / NANOSECONDS
     preintegrated = gtsam.PreintegratedCombinedMeasurements(parameters, bias)
     for i, dt in enumerate(np.diff(edges)):
         if dt > 0.0:  # a sample exactly at the start has half its time in the span before
-            preintegrated.integrateMeasurement(
-                series.acceleration[low + i], series.gyro[low + i], float(dt)
-            )
+            preintegrated.integrateMeasurement(samples.acceleration[i], samples.gyro[i], float(dt))
     return preintegrated
 
 

@@ -26,23 +26,27 @@ from incremental_mapper.graph.solver import (
 )
 
 AGREEMENT = 1e-4
-"""A solve has converged where the linear error is the true one to this, relative to 1 + error."""
+"""A solve has converged where the linear error is the true one, or the step makes the linear
+cost no smaller, to this, relative to 1 + error."""
 HALVINGS = 8
 """How often a step is halved until it makes the cost smaller."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Belief:
-    """Frontier and followers, linear around their newest estimates.
+    """Frontier and followers, linear around ``values``.
 
     ``keys`` are the frontier's variables; what G(t) says of a tangent step δ (n,) of them is
-    ‖root · δ‖², with ``root`` (m, n). ``followers`` move by ``slopes`` (f, n) · δ. ``values``
-    holds both kinds; ``clusters`` are the cluster ids in it with their stamps (ns). ``healthy``
-    is False where the last window could not be solved and stays at its initial values.
+    ‖root · δ − rhs‖², with ``root`` (m, n) and ``rhs`` (m,). ``values`` are the newest estimates;
+    where the last solve converged they are the mean, and ``rhs`` is zero up to a constant.
+    ``followers`` move by ``slopes`` (f, n) · δ. ``values`` holds both kinds; ``clusters`` are the
+    cluster ids in it with their stamps (ns). ``healthy`` is False where the last window could not
+    be solved and stays at its initial values.
     """
 
     keys: tuple[int, ...] = ()
     root: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    rhs: Array = field(default_factory=lambda: np.zeros(0))
     followers: tuple[int, ...] = ()
     slopes: Array = field(default_factory=lambda: np.zeros((0, 0)))
     values: gtsam.Values = field(default_factory=gtsam.Values)
@@ -65,11 +69,13 @@ class Solved:
 
     ``values`` has the new estimates, those of followers included. ``error`` is
     Σ‖h(x)−z‖²_Σ of the factors, ``cost`` the same with what the belief says against the step.
+    ``system`` is all of it, linear somewhere near.
     """
 
     values: gtsam.Values
     error: float
     cost: float
+    system: '_System'
 
 
 class Problem:
@@ -81,64 +87,148 @@ class Problem:
 
     def __init__(self, belief: Belief, initial: gtsam.Values, max_iterations: int) -> None:
         self._belief = belief
-        self._information = belief.root.T @ belief.root
         self._followers = Layout(belief.followers)
         self._max_iterations = max_iterations
         self._rows: dict[gtsam.NonlinearFactor, Rows] = {}
         self.values = gtsam.Values(belief.values)
         self.values.insert(initial)
 
-    def solve(self, factors: Sequence[gtsam.NonlinearFactor]) -> Solved | None:
+    def solve(
+        self, factors: Sequence[gtsam.NonlinearFactor], variables: Iterable[int] = ()
+    ) -> Solved | None:
         """Gauss-Newton; None where the result would not be finite.
 
-        Each variable that is new is also held at its initial value, so loosely (LOOSE) that it
-        shows only where the factors leave it undetermined.
+        Solves for all variables that the factors touch, and ``variables`` besides. Each one that
+        is new is also held at its initial value, so loosely (LOOSE) that it shows only where the
+        factors leave it undetermined.
         """
+        belief = self._belief
         touched = chain.from_iterable(factor.keys() for factor in factors)
-        layout = Layout([*self._belief.keys, *touched])
-        width = len(self._information)
-        prior = np.zeros((layout.size, layout.size))
-        prior[:width, :width] = self._information
-        np.fill_diagonal(prior[width:, width:], LOOSE**-2)
-        values, total = self.values, np.zeros(layout.size)
-        error = squared_error(factors, values)
-        rows = [self._shared(factor) for factor in factors]
-        columns = [layout.columns(row.keys) for row in rows]
+        layout = Layout([*belief.keys, *variables, *touched])
+        values, error = self.values, squared_error(factors, self.values)
+        system = _System(belief, layout, [self._shared(factor) for factor in factors])
+        cost = error + system.prior_error
         for _ in range(self._max_iterations):
-            information, gradient = prior.copy(), -prior @ total
-            for row, own in zip(rows, columns, strict=True):
-                information[own[:, None], own] += row.information
-                gradient[own] += row.gradient
-            step = solve_scaled(information, gradient)
+            step = system.step()
             if step is None:
                 return None
-            expected = sum(row.error(step[own]) for row, own in zip(rows, columns, strict=True))
-            before = error + float(total @ prior @ total)
+            expected = system.moved(step)
             better = False
             for _ in range(HALVINGS):
                 moved = values.retract(layout.vector_values(step))
-                reached, there = squared_error(factors, moved), total + step
-                better = reached + float(there @ prior @ there) <= before * (1.0 + 1e-6) + 1e-9
+                reached = squared_error(factors, moved)
+                better = reached + expected.prior_error <= cost * (1.0 + 1e-6) + 1e-9
                 if better:
                     break
                 step = step / 2.0
-                expected = np.inf
+                expected = system.moved(step)
             if not better:
                 break  # no shorter step helps either: this is as good as it gets
-            values, total, error = moved, there, reached
-            if abs(error - expected) <= AGREEMENT * (1.0 + expected):
+            small = AGREEMENT * (1.0 + expected.error)
+            settled = abs(reached - expected.error) <= small or system.cost - expected.cost <= small
+            values, error, system = moved, reached, expected
+            cost = error + system.prior_error
+            if settled:
                 break
-            rows = [linearize(factor, values) for factor in factors]
+            system = system.relinearized([linearize(factor, values) for factor in factors])
         if not np.isfinite(error):
             return None
-        followed = self._followers.vector_values(self._belief.slopes @ total[:width])
-        return Solved(values.retract(followed), error, error + float(total @ prior @ total))
+        followed = belief.slopes @ system.total[: len(belief.root.T)]
+        return Solved(
+            values=values.retract(self._followers.vector_values(followed)),
+            error=error,
+            cost=cost,
+            system=system,
+        )
 
     def _shared(self, factor: gtsam.NonlinearFactor) -> Rows:
         rows = self._rows.get(factor)
         if rows is None:
             rows = self._rows[factor] = linearize(factor, self.values)
         return rows
+
+
+class _System:
+    """Belief, loose hold on new variables and factors as ‖root · δ − rhs‖², and how far it moved.
+
+    The last rows are the factors'. ``total`` (n,) is the step from the belief's values so far.
+    """
+
+    __slots__ = ('_held', '_normal', 'layout', 'rhs', 'root', 'total')
+
+    def __init__(self, belief: Belief, layout: Layout, rows: Sequence[Rows]) -> None:
+        known = belief.root.shape[1]
+        self.layout, self._held = layout, len(belief.root) + layout.size - known
+        self._normal: Array | None = None
+        count = self._held + sum(len(row.rhs) for row in rows)
+        self.root, self.rhs = np.zeros((count, layout.size)), np.zeros(count)
+        self.total = np.zeros(layout.size)
+        self.root[: len(belief.root), :known] = belief.root
+        self.rhs[: len(belief.root)] = belief.rhs
+        new = np.arange(layout.size - known)
+        self.root[len(belief.root) + new, known + new] = 1.0 / LOOSE
+        self._fill(rows)
+
+    @property
+    def prior_error(self) -> float:
+        """What belief and loose hold say against the step so far."""
+        rest = self.rhs[: self._held]
+        return float(rest @ rest)
+
+    @property
+    def error(self) -> float:
+        """Σ‖h(x)−z‖²_Σ of the factors, as far as they are linear."""
+        rest = self.rhs[self._held :]
+        return float(rest @ rest)
+
+    @property
+    def cost(self) -> float:
+        """Both together."""
+        return float(self.rhs @ self.rhs)
+
+    def step(self) -> Array | None:
+        """The best step from here, or None where it would not be finite.
+
+        Normal equations square the condition of ``root``, which short IMU spans make large; what
+        that costs is made good by solving once more for what the first solution leaves.
+        """
+        if self._normal is None:
+            self._normal = self.root.T @ self.root
+        first = solve_scaled(self._normal, self.root.T @ self.rhs)
+        if first is None:
+            return None
+        rest = self.root.T @ (self.rhs - self.root @ first)
+        second = solve_scaled(self._normal, rest)
+        return first if second is None else first + second
+
+    def moved(self, step: Array) -> '_System':
+        """The same system seen from a place that is ``step`` (n,) away."""
+        other = self._copy()
+        other.rhs = self.rhs - self.root @ step
+        other.total = self.total + step
+        return other
+
+    def relinearized(self, rows: Sequence[Rows]) -> '_System':
+        """The same system with the factors linearised anew."""
+        other = self._copy()
+        other.root, other.rhs, other._normal = self.root.copy(), self.rhs.copy(), None
+        other.root[self._held :] = 0.0
+        other._fill(rows)
+        return other
+
+    def _copy(self) -> '_System':
+        other = object.__new__(_System)
+        for name in _System.__slots__:
+            setattr(other, name, getattr(self, name))
+        return other
+
+    def _fill(self, rows: Sequence[Rows]) -> None:
+        first = self._held
+        for row in rows:
+            last = first + len(row.rhs)
+            self.root[first:last, self.layout.columns(row.keys)] = row.matrix
+            self.rhs[first:last] = row.rhs
+            first = last
 
 
 def extend(
@@ -153,26 +243,26 @@ def extend(
     The cost of the solution comes back beside the larger belief, infinite where there is none.
     """
     problem = Problem(belief, initial, max_iterations)
-    solved = problem.solve(factors)
+    solved = problem.solve(factors, initial.keys())
     values = problem.values if solved is None else solved.values
-    layout = Layout([*belief.keys, *initial.keys()])
-    known = belief.root.shape[1]
-    new = layout.size - known
     rows = [linearize(factor, values) for factor in factors]
-    pieces = [np.hstack([belief.root, np.zeros((len(belief.root), new))])]
-    pieces.append(np.hstack([np.zeros((new, known)), np.eye(new) / LOOSE]))
-    pieces += [_spread(row, layout) for row in rows if np.isfinite(row.matrix).all()]
-    slopes = np.hstack([belief.slopes, np.zeros((len(belief.slopes), new))])
+    if solved is None:
+        layout = Layout([*belief.keys, *initial.keys()])
+        system, cost = _System(belief, layout, [row for row in rows if row.finite]), np.inf
+    else:
+        system, cost = solved.system.relinearized(rows), solved.cost
+    new = system.layout.size - belief.root.shape[1]
     larger = Belief(
-        keys=layout.keys,
-        root=np.vstack(pieces),
+        keys=system.layout.keys,
+        root=system.root,
+        rhs=system.rhs,
         followers=belief.followers,
-        slopes=slopes,
+        slopes=np.hstack([belief.slopes, np.zeros((len(belief.slopes), new))]),
         values=values,
         clusters={**belief.clusters, **clusters},
         healthy=solved is not None,
     )
-    return larger, np.inf if solved is None else solved.cost
+    return larger, cost
 
 
 def shrink(belief: Belief, keep: Collection[int], oldest: int) -> tuple[Belief, gtsam.Values]:
@@ -186,21 +276,25 @@ def shrink(belief: Belief, keep: Collection[int], oldest: int) -> tuple[Belief, 
     kept = tuple(key for key in layout.keys if gtsam.Symbol(key).index() in wanted)
     dropped = tuple(key for key in layout.keys if gtsam.Symbol(key).index() not in wanted)
     first, last = layout.columns(dropped), layout.columns(kept)
-    reduced = _triangle(belief.root[:, np.concatenate([first, last])])
+    reduced, rest = _triangle(belief.root[:, np.concatenate([first, last])], belief.rhs)
     count = len(first)
-    follow_kept = -solve_triangular(reduced[:count, :count], reduced[:count, count:])
+    upper = reduced[:count, :count]
+    follow_kept = -solve_triangular(upper, reduced[:count, count:])
     slopes = np.vstack(
         [belief.slopes[:, last] + belief.slopes[:, first] @ follow_kept, follow_kept]
     )
+    # Where the last solve did not converge, the dropped ones still have a way to go.
+    ahead = solve_triangular(upper, rest[:count])
+    ahead = np.concatenate([belief.slopes[:, first] @ ahead, ahead])
     followers = Layout([*belief.followers, *dropped])
     gone_clusters = {
         cluster
         for cluster, stamp in belief.clusters.items()
         if stamp < oldest and cluster not in wanted
     }
-    values, gone, stays = belief.values, gtsam.Values(), list(followers.keys)
+    values, gone = belief.values.retract(followers.vector_values(ahead)), gtsam.Values()
+    stays = list(followers.keys)
     if gone_clusters:
-        values = gtsam.Values(values)
         stays = []
         for key in followers.keys:
             if gtsam.Symbol(key).index() in gone_clusters:
@@ -212,6 +306,7 @@ def shrink(belief: Belief, keep: Collection[int], oldest: int) -> tuple[Belief, 
     smaller = Belief(
         keys=kept,
         root=reduced[count:, count:],
+        rhs=rest[count:],
         followers=tuple(stays),
         slopes=slopes,
         values=values,
@@ -245,7 +340,8 @@ def belief_of(
     split = eliminate(make_graph(factors), values, dropped)
     layout = Layout(kept)
     rows = [linearize(factor, values) for factor in split.factors]
-    pieces = [np.eye(layout.size) / LOOSE, *(_spread(row, layout) for row in rows)]
+    system = _System(Belief(), layout, rows)
+    root, rhs = _triangle(system.root, system.rhs)
     followers = tuple(key for key in dropped if gtsam.Symbol(key).index() in newer)
     follower_layout = Layout(followers)
     slopes = np.zeros((follower_layout.size, layout.size))
@@ -261,7 +357,8 @@ def belief_of(
         copy_value(values, key, inside if gtsam.Symbol(key).index() in newer else gone)
     belief = Belief(
         keys=layout.keys,
-        root=_triangle(np.vstack(pieces)),
+        root=root,
+        rhs=rhs,
         followers=followers,
         slopes=slopes,
         values=inside,
@@ -276,14 +373,8 @@ def cluster_keys(cluster: int, values: gtsam.Values) -> list[int]:
     return [key for key in keys if values.exists(key)]
 
 
-def _spread(rows: Rows, layout: Layout) -> Array:
-    """The rows' matrix in the columns of a layout."""
-    spread = np.zeros((len(rows.rhs), layout.size))
-    spread[:, layout.columns(rows.keys)] = rows.matrix
-    return spread
-
-
-def _triangle(matrix: Array) -> Array:
-    """The upper triangular R of Q R = ``matrix`` (m, n), m >= n."""
-    triangle: Array = np.asarray(np.linalg.qr(matrix, mode='r'))
-    return triangle
+def _triangle(matrix: Array, rhs: Array) -> tuple[Array, Array]:
+    """R (n, n) and c (n,) of ‖matrix · δ − rhs‖² = ‖R · δ − c‖² + constant, m >= n rows."""
+    size = matrix.shape[1]
+    triangle = np.asarray(np.linalg.qr(np.column_stack([matrix, rhs]), mode='r'))
+    return triangle[:size, :size], triangle[:size, size]

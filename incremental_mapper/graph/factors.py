@@ -27,7 +27,13 @@ class FactorKind(StrEnum):
     PRIOR_POSE = 'prior_pose'
     PRIOR_VELOCITY = 'prior_velocity'
     PRIOR_BIAS = 'prior_bias'
+    CONTINUITY_VELOCITY = 'continuity_velocity'
+    CONTINUITY_BIAS = 'continuity_bias'
     BRIDGE = 'bridge'
+
+
+CONTINUITY = frozenset({FactorKind.CONTINUITY_VELOCITY, FactorKind.CONTINUITY_BIAS})
+"""What carries velocity and bias over to a chain of IMU spans that starts anew."""
 
 
 def pose_key(cluster: int) -> int:
@@ -238,28 +244,57 @@ def _describe_bias_prior(factor: Any) -> dict[str, Any]:
     }
 
 
-def inertial_priors(
-    cluster: int,
-    velocity: NDArray[np.float64],
-    velocity_sigma: float,
-    bias: gtsam.imuBias.ConstantBias,
-    settings: GraphSettings,
-    stamp: int,
-) -> tuple[Factor, Factor]:
-    """Priors on velocity and bias where an inertial chain starts: nothing else holds them."""
-    bias_sigmas = np.array(
+def bias_prior(
+    key: int, bias: gtsam.imuBias.ConstantBias, settings: GraphSettings, stamp: int
+) -> Factor:
+    """Prior on a bias where nothing is known of an earlier one."""
+    sigmas = np.array(
         [settings.prior_sigma_accelerometer_bias] * 3 + [settings.prior_sigma_gyroscope_bias] * 3
     )
-    held = (velocity_key(cluster), bias_key(cluster))
-    return (
-        velocity_prior(held[0], velocity, velocity_sigma, stamp),
-        Factor(
-            kind=FactorKind.PRIOR_BIAS,
-            keys=(held[1],),
-            factor=gtsam.PriorFactorConstantBias(
-                held[1], bias, gtsam.noiseModel.Diagonal.Sigmas(bias_sigmas)
-            ),
-            stamps=(stamp,),
-            describe=_describe_bias_prior,
-        ),
+    noise = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
+    return Factor(
+        kind=FactorKind.PRIOR_BIAS,
+        keys=(key,),
+        factor=gtsam.PriorFactorConstantBias(key, bias, noise),
+        stamps=(stamp,),
+        describe=_describe_bias_prior,
     )
+
+
+def velocity_continuity(
+    keys: tuple[int, int], change: NDArray[np.float64], sigma: float, stamps: tuple[int, int]
+) -> Factor:
+    """Velocity of two clusters with no IMU span between them: ``change`` (3,) in the map, m/s."""
+    noise = gtsam.noiseModel.Isotropic.Sigma(3, sigma)
+    return Factor(
+        kind=FactorKind.CONTINUITY_VELOCITY,
+        keys=keys,
+        factor=gtsam.BetweenFactorVector(*keys, change, noise),
+        stamps=stamps,
+        describe=_describe_velocity_continuity,
+    )
+
+
+def _describe_velocity_continuity(factor: Any) -> dict[str, Any]:
+    return {
+        'change': np.asarray(factor.measured()).tolist(),
+        'sigma': float(factor.noiseModel().sigmas()[0]),
+    }
+
+
+def bias_continuity(
+    keys: tuple[int, int], sigmas: NDArray[np.float64], stamps: tuple[int, int]
+) -> Factor:
+    """Bias of two clusters with no IMU span between them; ``sigmas`` (6,) of its random walk."""
+    noise = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
+    return Factor(
+        kind=FactorKind.CONTINUITY_BIAS,
+        keys=keys,
+        factor=gtsam.BetweenFactorConstantBias(*keys, gtsam.imuBias.ConstantBias(), noise),
+        stamps=stamps,
+        describe=_describe_bias_continuity,
+    )
+
+
+def _describe_bias_continuity(factor: Any) -> dict[str, Any]:
+    return {'sigmas': factor.noiseModel().sigmas().tolist()}

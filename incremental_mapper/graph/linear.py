@@ -6,7 +6,6 @@ than GTSAM's elimination tree, and a factor that many candidates share is linear
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import lru_cache
 
 import gtsam
 import numpy as np
@@ -16,37 +15,36 @@ from scipy.linalg.lapack import dposv
 Array = NDArray[np.float64]
 
 
-@lru_cache(maxsize=4096)
+VELOCITY = ord('v')
+"""Letter of velocities, as it stands in the highest byte of a key."""
+
+
 def dimension(key: int) -> int:
     """Tangent dimension of a variable: 6 for a pose or a bias, 3 for a velocity."""
-    return 3 if gtsam.Symbol(key).chr() == ord('v') else 6
+    return 3 if key >> 56 == VELOCITY else 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rows:
     """A whitened factor at some values: its squared error is ‖matrix · δ − rhs‖².
 
-    ``matrix`` is (m, n) and ``rhs`` (m,); δ stacks the tangent steps of ``keys``. Their products
-    ``information`` (n, n) and ``gradient`` (n,) are what normal equations add up.
+    ``matrix`` is (m, n) and ``rhs`` (m,); δ stacks the tangent steps of ``keys``.
     """
 
     keys: tuple[int, ...]
     matrix: Array
     rhs: Array
-    information: Array
-    gradient: Array
 
-    def error(self, step: Array) -> float:
-        """‖matrix · step − rhs‖²."""
-        rest = self.matrix @ step - self.rhs
-        return float(rest @ rest)
+    @property
+    def finite(self) -> bool:
+        """Whether every number is."""
+        return bool(np.isfinite(self.matrix).all() and np.isfinite(self.rhs).all())
 
 
 def linearize(factor: gtsam.NonlinearFactor, values: gtsam.Values) -> Rows:
     """Linearise a factor at ``values``; raises RuntimeError where a variable is missing."""
     linear = factor.linearize(values)
-    matrix, rhs = linear.jacobian()
-    return Rows(tuple(linear.keys()), matrix, rhs, matrix.T @ matrix, matrix.T @ rhs)
+    return Rows(tuple(linear.keys()), *linear.jacobian())
 
 
 class Layout:

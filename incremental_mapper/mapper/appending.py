@@ -10,6 +10,7 @@ from incremental_mapper.candidates.clusters import Candidate
 from incremental_mapper.config import Config
 from incremental_mapper.graph.belief import extend, shrink
 from incremental_mapper.graph.factors import (
+    CONTINUITY,
     Factor,
     FactorKind,
     bias_key,
@@ -73,7 +74,8 @@ def append_candidate(
     state.add_factors(made)
     state.clusters.extend(placed)
     for factor in made:
-        for key in factor.keys:
+        # Continuity is no measurement: what only that holds together counts as apart.
+        for key in factor.keys if factor.kind not in CONTINUITY else ():
             state.components.union(factor.keys[0], key)
     state.frontier = _next_frontier(state, placed, inputs, consecutive)
     head = state.frontier.head
@@ -175,12 +177,15 @@ def _next_frontier(
     }
     inertial = [item for item in placed if state.has_inertial(item.id)]
     old = state.frontier
+    last_inertial, inertial_stamp = old.inertial, old.inertial_stamp
     head, head_stamp, head_inertial = old.head, old.head_stamp, old.head_inertial
     if inertial:
         last = max(inertial, key=lambda item: item.cluster.stamp)
         head, head_stamp, head_inertial = last.id, last.cluster.stamp, True
+        last_inertial, inertial_stamp = last.id, last.cluster.stamp
     elif head is not None and state.has_inertial(head):
         head_inertial = True
+        last_inertial, inertial_stamp = head, head_stamp
     # Samples between the inertial cluster and the newest one were in no usable span: a span
     # from the older cluster would be unusable again, so the chain starts anew at the newest.
     max_hole = round(config.preintegration.max_gap * NANOSECONDS)
@@ -195,6 +200,8 @@ def _next_frontier(
         head=head,
         head_stamp=head_stamp,
         head_inertial=head_inertial,
+        inertial=last_inertial,
+        inertial_stamp=inertial_stamp,
         newest=newest.id,
         newest_stamp=newest_stamp,
     )

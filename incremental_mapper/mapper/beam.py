@@ -213,6 +213,11 @@ class _Search:
             needed.add(self._task.head_cluster)
         elif node is not None:
             needed.add(factors.local_id(candidate.clusters[node]))
+        # A chain that starts anew goes on from the last velocity and bias.
+        if candidate.connections:
+            needed.add(factors.local_id(candidate.clusters[candidate.connections[-1].end]))
+        elif self._task.inertial_cluster is not None:
+            needed.add(self._task.inertial_cluster)
         return needed
 
     def _cluster(self, first: int, last: int) -> Cluster | None:

@@ -19,6 +19,7 @@ from incremental_mapper.graph.factors import (
     FactorKind,
     gnss_factor,
     pose_prior,
+    velocity_continuity,
     velocity_prior,
 )
 from incremental_mapper.graph.solver import copy_value, make_graph, optimize
@@ -86,7 +87,7 @@ def georeference(state: GraphState, config: Config) -> bool:
     yaw, shift = align_track(enu[track], local[track])
     T_enu_map = gtsam.Pose3(gtsam.Rot3.Yaw(yaw), shift)
     turned = _turn(state.all_values(), T_enu_map)
-    factors = [_turned_prior(factor, T_enu_map, config) for factor in state.factors]
+    factors = [_turned_factor(factor, T_enu_map, config) for factor in state.factors]
     for fix in state.fixes:
         factors[fix.factor] = gnss_factor(
             factors[fix.factor].keys[0],
@@ -129,8 +130,8 @@ def _turn(values: gtsam.Values, T_enu_map: gtsam.Pose3) -> gtsam.Values:
     return turned
 
 
-def _turned_prior(factor: Factor, T_enu_map: gtsam.Pose3, config: Config) -> Factor:
-    """A prior on a pose or velocity under the new frame; other factors do not care.
+def _turned_factor(factor: Factor, T_enu_map: gtsam.Pose3, config: Config) -> Factor:
+    """What says something of a pose or velocity in the map, under the new frame.
 
     Position and yaw of the priors are only loosely held from here on: the fixes know better.
     """
@@ -147,4 +148,8 @@ def _turned_prior(factor: Factor, T_enu_map: gtsam.Pose3, config: Config) -> Fac
         data = factor.data
         velocity = T_enu_map.rotation().rotate(np.array(data['velocity']))
         return velocity_prior(factor.keys[0], velocity, data['sigma'], factor.stamps[0])
+    if factor.kind is FactorKind.CONTINUITY_VELOCITY:
+        data, (first, second), (start, end) = factor.data, factor.keys, factor.stamps
+        change = T_enu_map.rotation().rotate(np.array(data['change']))
+        return velocity_continuity((first, second), change, data['sigma'], (start, end))
     return factor

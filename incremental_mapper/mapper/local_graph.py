@@ -22,21 +22,28 @@ from incremental_mapper.graph.factors import (
     Factor,
     FactorKind,
     between_factor,
+    bias_continuity,
     bias_key,
+    bias_prior,
     gnss_factor,
     imu_factor,
-    inertial_priors,
     pose_key,
     pose_prior,
     pose_sigmas,
+    velocity_continuity,
     velocity_key,
+    velocity_prior,
 )
 from incremental_mapper.mapper.front_end import Prepared, PreparedFix
 from incremental_mapper.mapper.prediction import State, propagate
 from incremental_mapper.mapper.scan_preparer import PreparedScan
-from incremental_mapper.mapper.state import Frontier
+from incremental_mapper.mapper.state import Frontier, chain_start
 from incremental_mapper.trajectory import NANOSECONDS
 
+UNSEEN_ACCELERATION = 2.0
+"""m/s^2 by which a car's acceleration may differ from what the nearest IMU sample says."""
+SHORTEST = NANOSECONDS // 1000
+"""Nanoseconds for which velocity and bias may change at the least, so that no sigma is zero."""
 GRAPH = 'G(t-1)'
 """The node that stands for all of G(t-1) in the connectivity of a candidate."""
 
@@ -144,7 +151,7 @@ class WindowFactors:
         links = [link for link in candidate.connections if link.end >= since]
         for link in links:
             made.extend(self._imu(candidate, link.start, link.end))
-        made.extend(self._inertial_priors(candidate, links))
+        made.extend(self._chain_starts(candidate, links))
         if self._in.frontier.newest is None and since == 0:
             first = candidate.clusters[0]
             made.append(self._first_prior(first))
@@ -309,28 +316,58 @@ class WindowFactors:
             )
         return self._cache[key]
 
-    def _inertial_priors(
-        self, candidate: Candidate, links: Sequence[Connection]
-    ) -> Sequence[Factor]:
-        """Priors where one of ``links`` starts a chain that does not continue an older one."""
+    def _chain_starts(self, candidate: Candidate, links: Sequence[Connection]) -> Sequence[Factor]:
+        """What holds velocity and bias where one of ``links`` does not go on from an older one."""
         ends = {link.end for link in candidate.connections}
         starts = sorted({link.start for link in links} - ends)
-        graph = self._in.config.graph
         made: list[Factor] = []
         for start in starts:
             if start == HEAD and self._in.frontier.head_inertial:
                 continue
-            id_, stamp = self._ends(candidate, start)
-            known = self._in.frontier.head_inertial
-            velocity = (self._in.head_state if start == HEAD else self._in.states[stamp]).velocity
-            key = ('inertial', id_)
+            own = self._ends(candidate, start)
+            before = max((end for end in ends if end < start), default=HEAD)
+            earlier = self._last_inertial() if before == HEAD else self._ends(candidate, before)
+            key = ('chain', own, earlier)
             if key not in self._cache:
-                sigma = graph.weak_sigma_velocity if known else graph.prior_sigma_velocity
-                self._cache[key] = inertial_priors(
-                    id_, velocity, sigma, self._in.head_state.bias, graph, stamp
-                )
+                self._cache[key] = self._chain_start(own, earlier)
             made.extend(self._cache[key])
         return made
+
+    def _last_inertial(self) -> tuple[int, int] | None:
+        """The last cluster of G(t-1) with velocity and bias, and its stamp."""
+        frontier = self._in.frontier
+        return None if frontier.inertial is None else (frontier.inertial, frontier.inertial_stamp)
+
+    def _chain_start(
+        self, own: tuple[int, int], earlier: tuple[int, int] | None
+    ) -> tuple[Factor, ...]:
+        """Holds velocity and bias of a cluster by those of an earlier one, if there is one.
+
+        Both are given by number and stamp. Without this, a chain that starts anew because two
+        clusters have no sample between them would forget what is known of velocity and bias.
+        """
+        id_, stamp = own
+        graph, imu = self._in.config.graph, self._in.config.preintegration
+        before = None if earlier is None else earlier[1]
+        kinds = chain_start(before, stamp, round(imu.max_gap * NANOSECONDS))
+        made: list[Factor] = []
+        if FactorKind.PRIOR_VELOCITY in kinds:
+            sigma = graph.prior_sigma_velocity if earlier is None else graph.weak_sigma_velocity
+            state = self._in.states.get(stamp, self._in.head_state)
+            made.append(velocity_prior(velocity_key(id_), state.velocity, sigma, stamp))
+        if earlier is None:
+            return (*made, bias_prior(bias_key(id_), self._in.head_state.bias, graph, stamp))
+        passed = max(stamp - earlier[1], SHORTEST) / NANOSECONDS
+        stamps = (earlier[1], stamp)
+        if FactorKind.CONTINUITY_VELOCITY in kinds:
+            keys = (velocity_key(earlier[0]), velocity_key(id_))
+            begin = max(earlier[1], self._in.head_state.stamp)
+            change = self._reckon(stamp).velocity - self._reckon(begin).velocity
+            made.append(velocity_continuity(keys, change, UNSEEN_ACCELERATION * passed, stamps))
+        walks = [imu.accelerometer_bias_walk] * 3 + [imu.gyroscope_bias_walk] * 3
+        keys = (bias_key(earlier[0]), bias_key(id_))
+        made.append(bias_continuity(keys, np.sqrt(passed) * np.array(walks), stamps))
+        return tuple(made)
 
     def _first_prior(self, cluster: Cluster) -> Factor:
         """Prior that holds the map's first pose: level well, yaw loosely."""

@@ -77,8 +77,7 @@ class Mapper:
         self._orientation: NDArray[np.float64] | None = None
         self._carried: list[Prepared] = []
         self._state = GraphState(store=make_store(config.map))
-        self._base = BaseCount()
-        self._base_last: int | None = None
+        self._base = BaseCount(self._imu_gap)
         self._totals = Totals()
         self._rows: list[dict[str, Any]] = []
 
@@ -249,6 +248,7 @@ class Mapper:
             parts=parts,
             head=None if frontier.head is None else frontier.head_stamp,
             head_cluster=frontier.head,
+            inertial_cluster=frontier.inertial,
             imu=ImuStamps(self._series.stamps, self._imu_gap),
             factors=factors,
             scenes=scenes,
@@ -327,12 +327,12 @@ class Mapper:
         known = {item.core: item for item in prepared}
         for part in elements(known):
             stamp = part[0].stamp
-            before, self._base_last = self._base_last, stamp
+            before = self._base.last
             joined = before is not None and imu.first_sample(before, stamp) is not None
             links = [known[core] for core in part]
             odometry = sum(getattr(item, 'previous', None) is not None for item in links)
             gnss = sum(item.core.kind == 'gnss' for item in links)
-            self._base.add_element(odometry, gnss, joined)
+            self._base.add_element(stamp, odometry, gnss, joined)
 
     def _newest_error(self, made: Sequence[Factor]) -> float:
         """Σ‖h(x)−z‖²_Σ of the window's factors after they were appended."""

@@ -7,7 +7,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from incremental_mapper.frontend.inertial import ImuSeries, preintegrate
+from incremental_mapper.frontend.inertial import ImuSeries, integrate
 from incremental_mapper.mapper.front_end import Prepared
 from incremental_mapper.mapper.scan_preparer import PreparedScan
 from incremental_mapper.trajectory import NANOSECONDS
@@ -23,6 +23,16 @@ class State:
     bias: gtsam.imuBias.ConstantBias
 
 
+def proper(pose: gtsam.Pose3) -> gtsam.Pose3:
+    """The pose with the rotation nearest to its own.
+
+    GTSAM keeps rotations as matrices, and takes the transpose for the inverse. Poses that are made
+    of each other, window after window, multiply what is wrong with them by rounding: after a
+    minute or two it would show as a wrong gravity.
+    """
+    return gtsam.Pose3(gtsam.Rot3.ClosestTo(pose.rotation().matrix()), pose.translation())
+
+
 def propagate(
     state: State,
     stamp: int,
@@ -30,14 +40,18 @@ def propagate(
     parameters: gtsam.PreintegrationCombinedParams,
     max_gap: int,
 ) -> State:
-    """Carry a state to another stamp: by the IMU where it covers the time, else straight on."""
-    low, high = np.searchsorted(series.stamps, (state.stamp, stamp), side='left')
-    inside = series.stamps[low:high]
-    covered = len(inside) > 0 and max(inside[0] - state.stamp, stamp - inside[-1]) <= max_gap
-    if covered:
-        span = preintegrate(series, state.stamp, stamp, parameters, state.bias)
+    """Carry a state to another stamp: by the IMU where it covers the time, else straight on.
+
+    Where no sample lies between, the nearest one stands for them.
+    """
+    samples = series.within(state.stamp, stamp)
+    if len(samples.stamps) == 0 and stamp > state.stamp:
+        samples = series.nearest(state.stamp)
+    inside = samples.stamps
+    if len(inside) and max(abs(inside[0] - state.stamp), abs(stamp - inside[-1])) <= max_gap:
+        span = integrate(samples, state.stamp, stamp, parameters, state.bias)
         moved = span.predict(gtsam.NavState(state.pose, state.velocity), state.bias)
-        return State(stamp, moved.pose(), moved.velocity(), state.bias)
+        return State(stamp, proper(moved.pose()), moved.velocity(), state.bias)
     shift = state.velocity * ((stamp - state.stamp) / NANOSECONDS)
     pose = gtsam.Pose3(state.pose.rotation(), state.pose.translation() + shift)
     return State(stamp, pose, state.velocity, state.bias)
@@ -68,7 +82,7 @@ def predict(
             last = poses.get((item.core.sensor, item.previous)) if item.previous else None
             if last is not None and item.previous is not None and stamp not in states:
                 assert item.T_previous_current is not None
-                pose = last.compose(item.T_previous_current)
+                pose = proper(last.compose(item.T_previous_current))
                 velocity = moved.velocity
                 if not velocity_known:
                     passed = (stamp - item.previous) / NANOSECONDS

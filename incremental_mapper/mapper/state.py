@@ -29,20 +29,24 @@ class Frontier:
     """What a new factor may touch, by cluster id.
 
     ``chains`` holds the cluster, and the stamp, of each LiDAR's last scan; ``head`` is the
-    cluster to connect from and ``head_inertial`` says whether it has velocity and bias.
+    cluster to connect from and ``head_inertial`` says whether it has velocity and bias;
+    ``inertial`` is the last one that has.
     """
 
     chains: Mapping[str, tuple[int, int]] = field(default_factory=dict)
     head: int | None = None
     head_stamp: int = 0
     head_inertial: bool = False
+    inertial: int | None = None
+    inertial_stamp: int = 0
     newest: int | None = None
     newest_stamp: int = 0
 
     def clusters(self) -> set[int]:
         """Every cluster that may still be touched."""
         ids = {id_ for id_, _ in self.chains.values()}
-        return ids | {id_ for id_ in (self.head, self.newest) if id_ is not None}
+        single = (self.head, self.inertial, self.newest)
+        return ids | {id_ for id_ in single if id_ is not None}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -174,20 +178,36 @@ class GraphState:
         return newest if newest.exists(key) else self.values
 
 
+def chain_start(before: int | None, stamp: int, max_gap: int) -> tuple[FactorKind, FactorKind]:
+    """What holds velocity and bias where a chain of spans starts at ``stamp`` (ns).
+
+    ``before`` is the stamp of the last velocity and bias, None if there are none: a bias goes on
+    for ever, a velocity for as long as a span may have a hole, ``max_gap`` ns.
+    """
+    if before is None:
+        return FactorKind.PRIOR_VELOCITY, FactorKind.PRIOR_BIAS
+    if stamp - before > max_gap:
+        return FactorKind.PRIOR_VELOCITY, FactorKind.CONTINUITY_BIAS
+    return FactorKind.CONTINUITY_VELOCITY, FactorKind.CONTINUITY_BIAS
+
+
 @dataclass(slots=True)
 class BaseCount:
     """Counts the base graph of the same measurements without building it (paper, Base).
 
     Every element has a pose, one IMU factor joins every consecutive pair with a usable span, and
-    velocity and bias exist at the ends of those.
+    velocity and bias exist at the ends of those. ``max_gap`` is how long, in ns, a velocity is
+    known after a chain of spans ended.
     """
 
+    max_gap: int
     clusters: int = 0
     inertial: int = 0
     factors: dict[str, int] = field(default_factory=dict)
-    _last_inertial: bool = False
+    last: int | None = None
+    _last_inertial: int | None = None
 
-    def add_element(self, odometry: int, gnss: int, connected: bool) -> None:
+    def add_element(self, stamp: int, odometry: int, gnss: int, connected: bool) -> None:
         """One more element, with its factors and whether a span joins it to the one before."""
         self.clusters += 1
         self._count(FactorKind.ODOMETRY, odometry)
@@ -195,13 +215,15 @@ class BaseCount:
         if self.clusters == 1:
             self._count(FactorKind.PRIOR_POSE, 1)
         if connected:
+            assert self.last is not None
             self._count(FactorKind.IMU, 1)
-            if not self._last_inertial:
+            if self._last_inertial != self.last:
                 self.inertial += 1  # the element before starts a chain
-                self._count(FactorKind.PRIOR_VELOCITY, 1)
-                self._count(FactorKind.PRIOR_BIAS, 1)
+                for kind in chain_start(self._last_inertial, self.last, self.max_gap):
+                    self._count(kind, 1)
             self.inertial += 1
-        self._last_inertial = connected
+            self._last_inertial = stamp
+        self.last = stamp
 
     def _count(self, kind: FactorKind, number: int) -> None:
         self.factors[kind] = self.factors.get(kind, 0) + number

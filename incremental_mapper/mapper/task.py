@@ -15,13 +15,15 @@ class Task:
 
     ``belief`` is what G(t-1) says of its frontier; its followers are the earlier poses that
     candidates are judged by. ``head`` is the stamp and ``head_cluster`` the number of
-    the cluster to connect from. Without ``may_merge`` candidates that merge are taken only where
+    the cluster to connect from, ``inertial_cluster`` that of the last one with velocity and bias.
+    Without ``may_merge`` candidates that merge are taken only where
     no other is connected.
     """
 
     parts: tuple[Element, ...]
     head: int | None
     head_cluster: int | None
+    inertial_cluster: int | None
     imu: ImuStamps
     factors: WindowFactors
     scenes: SceneBuilder
