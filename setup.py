@@ -52,6 +52,7 @@ setup(
         'rosbags>=0.11',
         'scipy>=1.11',
         'small_gicp>=1.0',
+        'threadpoolctl>=3.1',
         'tqdm>=4.66',
     ],
     extras_require={

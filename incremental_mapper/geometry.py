@@ -2,9 +2,9 @@
 
 from collections.abc import Sequence
 
+import gtsam
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 
 def pose_matrix(numbers: Sequence[float]) -> NDArray[np.float64]:
@@ -20,7 +20,8 @@ def pose_matrix(numbers: Sequence[float]) -> NDArray[np.float64]:
         norm = float(np.linalg.norm(values[3:]))
         if abs(norm - 1.0) > 1e-3:
             raise ValueError(f'the quaternion has norm {norm:.6g}, expected 1')
-        matrix[:3, :3] = Rotation.from_quat(values[3:]).as_matrix()
+        x, y, z, w = values[3:] / norm
+        matrix[:3, :3] = gtsam.Rot3.Quaternion(w, x, y, z).matrix()
         matrix[:3, 3] = values[:3]
     elif len(values) == 12:
         table = values.reshape(3, 4)

@@ -202,13 +202,13 @@ def test_sets_of_factors_do_not_see_each_other():
     assert np.linalg.norm(apart.translation()) == pytest.approx(0.02, abs=1e-6)
 
 
-def test_followers_that_were_trimmed_do_not_move():
+def test_followers_that_were_trimmed_are_no_part_of_a_solution():
     belief, _, _, _ = stepped(8, 100 * SECOND)
     far = belief.values.atPose3(pose_key(7)).translation() + [0.0, 0.0, 1.0]
     pull = [gtsam.GPSFactor(pose_key(7), far, FIX_NOISE)]
     solved = Problem(trimmed(belief, {pose_key(6)}), gtsam.Values(), 10).solve(pull)
     assert difference(belief.values, solved.values, pose_key(6)) > 1e-3
-    assert difference(belief.values, solved.values, pose_key(5)) < 1e-12
+    assert set(solved.values.keys()) == {pose_key(6), pose_key(7)}
 
 
 def test_measurement_that_is_not_finite_keeps_the_initial_values_and_says_so():

@@ -99,7 +99,6 @@ def components(items, groups, links=(), frontier=GROWN):
         scan_offsets={},
         alignment=IDENTITY_ALIGNMENT,
         fix_inflation={},
-        base_id=10,
         config=config,
     )
     loose = WindowFactors(inputs, len(items)).components(Candidate(clusters, connections))

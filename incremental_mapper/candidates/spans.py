@@ -1,6 +1,6 @@
 """Which IMU samples lie between two cluster stamps."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,8 @@ class ImuStamps:
 
     stamps: NDArray[np.int64]
     max_gap: int
+    # Candidates ask for the same few spans again and again.
+    _asked: dict[tuple[int, int], int | None] = field(default_factory=dict, init=False, repr=False)
 
     def bounds(self, start: int, end: int) -> tuple[int, int]:
         """Positions [low, high) of the samples with start <= stamp < end."""
@@ -24,6 +26,11 @@ class ImuStamps:
 
     def first_sample(self, start: int, end: int) -> int | None:
         """Stamp of the first sample of a usable span, or None where no connection can be made."""
+        if (start, end) not in self._asked:
+            self._asked[start, end] = self._first_sample(start, end)
+        return self._asked[start, end]
+
+    def _first_sample(self, start: int, end: int) -> int | None:
         low, high = self.bounds(start, end)
         if high <= low:
             return None

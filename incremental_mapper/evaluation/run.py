@@ -21,6 +21,7 @@ from incremental_mapper.evaluation.trajectory_error import TrajectoryErrors, tra
 from incremental_mapper.map.cloud import accumulate
 from incremental_mapper.mapper.mapper import Mapper
 from incremental_mapper.mapper.result import MapResult, WindowResult
+from incremental_mapper.mapper.small_algebra import small_algebra
 from incremental_mapper.mapper.statistics import peak_rss_mb
 from incremental_mapper.measurements import Drops
 from incremental_mapper.trajectory import Trajectory
@@ -69,6 +70,7 @@ def settle_config(source: Source, tree: Mapping[str, Any], where: str) -> Config
     return make_config(merge(source.info.settings, tree), where)
 
 
+@small_algebra()
 def map_source(
     source: Source,
     config: Config,

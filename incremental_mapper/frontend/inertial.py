@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import gtsam
 import numpy as np
@@ -94,14 +95,18 @@ def integrate(
     bias: gtsam.imuBias.ConstantBias,
 ) -> gtsam.PreintegratedCombinedMeasurements:
     """As ``preintegrate``, with these ``samples``, one or more, wherever they lie."""
-    stamps = samples.stamps
     # Stamps are subtracted as integers: doubles hold epoch nanoseconds to 256 ns only.
-    inner = (stamps[:-1] - start + stamps[1:] - start) / 2.0
-    edges = np.concatenate(([0.0], inner, [float(end - start)])) / NANOSECONDS
+    moments = [stamp - start for stamp in samples.stamps.tolist()]
+    edges = [(first + second) / 2.0 for first, second in pairwise(moments)]
     preintegrated = gtsam.PreintegratedCombinedMeasurements(parameters, bias)
-    for i, dt in enumerate(np.diff(edges)):
+    begin = 0.0
+    for force, rate, end_ns in zip(
+        samples.acceleration, samples.gyro, [*edges, float(end - start)], strict=True
+    ):
+        dt = (end_ns - begin) / NANOSECONDS
         if dt > 0.0:  # a sample exactly at the start has half its time in the span before
-            preintegrated.integrateMeasurement(samples.acceleration[i], samples.gyro[i], float(dt))
+            preintegrated.integrateMeasurement(force, rate, dt)
+        begin = end_ns
     return preintegrated
 
 

@@ -9,21 +9,14 @@ window.
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import chain
 
 import gtsam
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg.lapack import dgeqrf, dtrtrs
 
-from incremental_mapper.graph.factors import bias_key, pose_key, velocity_key
-from incremental_mapper.graph.linear import Array, Layout, Rows, linearize, solve_scaled
-from incremental_mapper.graph.solver import (
-    LOOSE,
-    copy_value,
-    eliminate,
-    make_graph,
-    squared_error,
-)
+from incremental_mapper.graph.factors import bias_key, cluster_of, pose_key, velocity_key
+from incremental_mapper.graph.linear import Array, Cholesky, Layout, solve_scaled
+from incremental_mapper.graph.solver import LOOSE, copy_value, eliminate, make_graph
 
 AGREEMENT = 1e-4
 """A solve has converged where the linear error is the true one, or the step makes the linear
@@ -79,7 +72,7 @@ class Solved:
 
 
 class Problem:
-    """Solves sets of factors on top of a belief; what sets share is linearised once.
+    """Solves sets of factors on top of a belief.
 
     ``initial`` holds the new variables; more may be inserted into ``values`` between solves.
     The belief's followers are moved along.
@@ -88,13 +81,13 @@ class Problem:
     def __init__(self, belief: Belief, initial: gtsam.Values, max_iterations: int) -> None:
         self._belief = belief
         self._followers = Layout(belief.followers)
+        self._followed = belief.values.extract(belief.followers)
         self._max_iterations = max_iterations
-        self._rows: dict[gtsam.NonlinearFactor, Rows] = {}
         self.values = gtsam.Values(belief.values)
         self.values.insert(initial)
 
     def solve(
-        self, factors: Sequence[gtsam.NonlinearFactor], variables: Iterable[int] = ()
+        self, factors: Iterable[gtsam.NonlinearFactor], variables: Iterable[int] = ()
     ) -> Solved | None:
         """Gauss-Newton; None where the result would not be finite.
 
@@ -102,11 +95,10 @@ class Problem:
         is new is also held at its initial value, so loosely (LOOSE) that it shows only where the
         factors leave it undetermined.
         """
-        belief = self._belief
-        touched = chain.from_iterable(factor.keys() for factor in factors)
-        layout = Layout([*belief.keys, *variables, *touched])
-        values, error = self.values, squared_error(factors, self.values)
-        system = _System(belief, layout, [self._shared(factor) for factor in factors])
+        graph = make_graph(factors)
+        layout = Layout([*self._belief.keys, *variables, *graph.keyVector()])
+        values = self.values.extract(layout.keys)
+        system, error = _System(self._belief, layout, graph, values), 2.0 * graph.error(values)
         cost = error + system.prior_error
         for _ in range(self._max_iterations):
             step = system.step()
@@ -116,7 +108,7 @@ class Problem:
             better = False
             for _ in range(HALVINGS):
                 moved = values.retract(layout.vector_values(step))
-                reached = squared_error(factors, moved)
+                reached = 2.0 * graph.error(moved)
                 better = reached + expected.prior_error <= cost * (1.0 + 1e-6) + 1e-9
                 if better:
                     break
@@ -130,22 +122,12 @@ class Problem:
             cost = error + system.prior_error
             if settled:
                 break
-            system = system.relinearized([linearize(factor, values) for factor in factors])
+            system = system.relinearized(values)
         if not np.isfinite(error):
             return None
-        followed = belief.slopes @ system.total[: len(belief.root.T)]
-        return Solved(
-            values=values.retract(self._followers.vector_values(followed)),
-            error=error,
-            cost=cost,
-            system=system,
-        )
-
-    def _shared(self, factor: gtsam.NonlinearFactor) -> Rows:
-        rows = self._rows.get(factor)
-        if rows is None:
-            rows = self._rows[factor] = linearize(factor, self.values)
-        return rows
+        followed = self._belief.slopes @ system.total[: self._belief.root.shape[1]]
+        values.insert(self._followed.retract(self._followers.vector_values(followed)))
+        return Solved(values=values, error=error, cost=cost, system=system)
 
 
 class _System:
@@ -154,19 +136,28 @@ class _System:
     The last rows are the factors'. ``total`` (n,) is the step from the belief's values so far.
     """
 
-    __slots__ = ('_held', '_normal', 'layout', 'rhs', 'root', 'total')
+    __slots__ = ('_columns', '_factor', '_graph', '_held', 'layout', 'rhs', 'root', 'total')
 
-    def __init__(self, belief: Belief, layout: Layout, rows: Sequence[Rows]) -> None:
+    def __init__(
+        self,
+        belief: Belief,
+        layout: Layout,
+        graph: gtsam.NonlinearFactorGraph,
+        values: gtsam.Values,
+    ) -> None:
         known = belief.root.shape[1]
-        self.layout, self._held = layout, len(belief.root) + layout.size - known
-        self._normal: Array | None = None
-        count = self._held + sum(len(row.rhs) for row in rows)
-        self.root, self.rhs = np.zeros((count, layout.size)), np.zeros(count)
+        self.layout, self._graph = layout, graph
+        self._held = len(belief.root) + layout.size - known
+        self._columns = layout.columns(graph.keyVector())
+        rows = self._rows(values)
+        self.root = np.zeros((self._held + len(rows), layout.size))
+        self.rhs = np.zeros(len(self.root))
         self.total = np.zeros(layout.size)
         self.root[: len(belief.root), :known] = belief.root
         self.rhs[: len(belief.root)] = belief.rhs
         new = np.arange(layout.size - known)
         self.root[len(belief.root) + new, known + new] = 1.0 / LOOSE
+        self._factor: Cholesky | None = None
         self._fill(rows)
 
     @property
@@ -192,13 +183,15 @@ class _System:
         Normal equations square the condition of ``root``, which short IMU spans make large; what
         that costs is made good by solving once more for what the first solution leaves.
         """
-        if self._normal is None:
-            self._normal = self.root.T @ self.root
-        first = solve_scaled(self._normal, self.root.T @ self.rhs)
+        try:
+            factor = self._factor or Cholesky(self.root.T @ self.root)
+        except ValueError:
+            return None
+        self._factor = factor
+        first = factor.solve(self.root.T @ self.rhs)
         if first is None:
             return None
-        rest = self.root.T @ (self.rhs - self.root @ first)
-        second = solve_scaled(self._normal, rest)
+        second = factor.solve(self.root.T @ (self.rhs - self.root @ first))
         return first if second is None else first + second
 
     def moved(self, step: Array) -> '_System':
@@ -208,12 +201,27 @@ class _System:
         other.total = self.total + step
         return other
 
-    def relinearized(self, rows: Sequence[Rows]) -> '_System':
-        """The same system with the factors linearised anew."""
+    def relinearized(self, values: gtsam.Values) -> '_System':
+        """The same system with the factors linearised at ``values``."""
         other = self._copy()
-        other.root, other.rhs, other._normal = self.root.copy(), self.rhs.copy(), None
-        other.root[self._held :] = 0.0
-        other._fill(rows)
+        other.root, other.rhs = self.root.copy(), self.rhs.copy()
+        other._fill(self._rows(values))
+        return other
+
+    def _rows(self, values: gtsam.Values) -> Array:
+        """The whitened factors; the last column is their right-hand side."""
+        return self._graph.linearize(values).augmentedJacobian()
+
+    def _fill(self, rows: Array) -> None:
+        self.root[self._held :, self._columns] = rows[:, :-1]
+        self.rhs[self._held :] = rows[:, -1]
+        self._factor = None
+
+    def without_nonsense(self) -> '_System':
+        """The same system without rows that are not finite."""
+        other = self._copy()
+        finite = np.isfinite(self.root).all(axis=1) & np.isfinite(self.rhs)
+        other.root, other.rhs = self.root[finite], self.rhs[finite]
         return other
 
     def _copy(self) -> '_System':
@@ -221,14 +229,6 @@ class _System:
         for name in _System.__slots__:
             setattr(other, name, getattr(self, name))
         return other
-
-    def _fill(self, rows: Sequence[Rows]) -> None:
-        first = self._held
-        for row in rows:
-            last = first + len(row.rhs)
-            self.root[first:last, self.layout.columns(row.keys)] = row.matrix
-            self.rhs[first:last] = row.rhs
-            first = last
 
 
 def extend(
@@ -244,25 +244,57 @@ def extend(
     """
     problem = Problem(belief, initial, max_iterations)
     solved = problem.solve(factors, initial.keys())
-    values = problem.values if solved is None else solved.values
-    rows = [linearize(factor, values) for factor in factors]
     if solved is None:
+        values, cost = problem.values, np.inf
         layout = Layout([*belief.keys, *initial.keys()])
-        system, cost = _System(belief, layout, [row for row in rows if row.finite]), np.inf
+        system = _System(belief, layout, make_graph(factors), values).without_nonsense()
     else:
-        system, cost = solved.system.relinearized(rows), solved.cost
+        values, cost = solved.values, solved.cost
+        system = solved.system.relinearized(values)
+    return _larger(belief, system, system.layout.keys, values, clusters, solved is not None), cost
+
+
+def adopt(
+    belief: Belief, solved: Solved, names: Mapping[int, int], clusters: Mapping[int, int]
+) -> Belief:
+    """Append what was solved on top of the same belief, with fewer followers or not.
+
+    ``names`` are the keys that new variables get in place of those that they were solved under.
+    """
+    known = belief.root.shape[1]
+    keys = solved.system.layout.keys
+    new = keys[len(belief.keys) :]
+    values = solved.values.extract(belief.keys)
+    followers = Layout(belief.followers)
+    step = belief.slopes @ solved.system.total[:known]
+    moved = belief.values.extract(followers.keys).retract(followers.vector_values(step))
+    values.insert(moved)
+    for key in new:
+        copy_value(solved.values, key, values, names.get(key, key))
+    renamed = (*belief.keys, *(names.get(key, key) for key in new))
+    system = solved.system.relinearized(solved.values)
+    return _larger(belief, system, renamed, values, clusters, healthy=True)
+
+
+def _larger(
+    belief: Belief,
+    system: _System,
+    keys: tuple[int, ...],
+    values: gtsam.Values,
+    clusters: Mapping[int, int],
+    healthy: bool,
+) -> Belief:
     new = system.layout.size - belief.root.shape[1]
-    larger = Belief(
-        keys=system.layout.keys,
+    return Belief(
+        keys=keys,
         root=system.root,
         rhs=system.rhs,
         followers=belief.followers,
         slopes=np.hstack([belief.slopes, np.zeros((len(belief.slopes), new))]),
         values=values,
         clusters={**belief.clusters, **clusters},
-        healthy=solved is not None,
+        healthy=healthy,
     )
-    return larger, cost
 
 
 def shrink(belief: Belief, keep: Collection[int], oldest: int) -> tuple[Belief, gtsam.Values]:
@@ -273,35 +305,30 @@ def shrink(belief: Belief, keep: Collection[int], oldest: int) -> tuple[Belief, 
     """
     layout = Layout(belief.keys)
     wanted = set(keep)
-    kept = tuple(key for key in layout.keys if gtsam.Symbol(key).index() in wanted)
-    dropped = tuple(key for key in layout.keys if gtsam.Symbol(key).index() not in wanted)
+    kept = tuple(key for key in layout.keys if cluster_of(key) in wanted)
+    dropped = tuple(key for key in layout.keys if cluster_of(key) not in wanted)
     first, last = layout.columns(dropped), layout.columns(kept)
     reduced, rest = _triangle(belief.root[:, np.concatenate([first, last])], belief.rhs)
     count = len(first)
-    upper = reduced[:count, :count]
-    follow_kept = -solve_triangular(upper, reduced[:count, count:])
-    slopes = np.vstack(
-        [belief.slopes[:, last] + belief.slopes[:, first] @ follow_kept, follow_kept]
-    )
-    # Where the last solve did not converge, the dropped ones still have a way to go.
-    ahead = solve_triangular(upper, rest[:count])
-    ahead = np.concatenate([belief.slopes[:, first] @ ahead, ahead])
+    # Where the last solve did not converge, the dropped ones still have a way to go: the last
+    # column.
+    solved = np.column_stack([-reduced[:count, count:], rest[:count]])
+    if count:
+        solved, _ = dtrtrs(reduced[:count, :count], solved)
+    moves = np.vstack([belief.slopes[:, first] @ solved, solved])
+    slopes, ahead = moves[:, :-1], moves[:, -1]
+    slopes[: len(belief.slopes)] += belief.slopes[:, last]
     followers = Layout([*belief.followers, *dropped])
     gone_clusters = {
         cluster
         for cluster, stamp in belief.clusters.items()
         if stamp < oldest and cluster not in wanted
     }
-    values, gone = belief.values.retract(followers.vector_values(ahead)), gtsam.Values()
-    stays = list(followers.keys)
+    values = belief.values.retract(followers.vector_values(ahead))
+    stays = [key for key in followers.keys if cluster_of(key) not in gone_clusters]
+    gone = values.extract([key for key in followers.keys if cluster_of(key) in gone_clusters])
     if gone_clusters:
-        stays = []
-        for key in followers.keys:
-            if gtsam.Symbol(key).index() in gone_clusters:
-                copy_value(values, key, gone)
-                values.erase(key)
-            else:
-                stays.append(key)
+        values = values.extract([*kept, *stays])
         slopes = slopes[followers.columns(stays)]
     smaller = Belief(
         keys=kept,
@@ -320,7 +347,12 @@ def trimmed(belief: Belief, followers: Collection[int]) -> Belief:
     """The belief with no other followers than these."""
     layout = Layout(belief.followers)
     kept = [key for key in belief.followers if key in followers]
-    return replace(belief, followers=tuple(kept), slopes=belief.slopes[layout.columns(kept)])
+    return replace(
+        belief,
+        followers=tuple(kept),
+        slopes=belief.slopes[layout.columns(kept)],
+        values=belief.values.extract([*belief.keys, *kept]),
+    )
 
 
 def belief_of(
@@ -336,13 +368,12 @@ def belief_of(
     """
     newer = {c for c, stamp in clusters.items() if stamp >= oldest or c in set(keep)}
     kept = [key for cluster in sorted(keep) for key in cluster_keys(cluster, values)]
-    dropped = sorted(set(values.keys()) - set(kept), key=lambda key: gtsam.Symbol(key).index())
+    dropped = sorted(set(values.keys()) - set(kept), key=cluster_of)
     split = eliminate(make_graph(factors), values, dropped)
     layout = Layout(kept)
-    rows = [linearize(factor, values) for factor in split.factors]
-    system = _System(Belief(), layout, rows)
+    system = _System(Belief(), layout, make_graph(split.factors), values)
     root, rhs = _triangle(system.root, system.rhs)
-    followers = tuple(key for key in dropped if gtsam.Symbol(key).index() in newer)
+    followers = tuple(key for key in dropped if cluster_of(key) in newer)
     follower_layout = Layout(followers)
     slopes = np.zeros((follower_layout.size, layout.size))
     at_rest = split.conditional.optimize(layout.vector_values(np.zeros(layout.size)))
@@ -352,19 +383,18 @@ def belief_of(
         moved = split.conditional.optimize(layout.vector_values(unit))
         for key, place in follower_layout.places.items():
             slopes[place, column] = moved.at(key) - at_rest.at(key)
-    inside, gone = gtsam.Values(), gtsam.Values()
-    for key in values.keys():  # noqa: SIM118 (no mapping)
-        copy_value(values, key, inside if gtsam.Symbol(key).index() in newer else gone)
+    inside = [key for key in values.keys() if cluster_of(key) in newer]  # noqa: SIM118
+    gone = [key for key in values.keys() if cluster_of(key) not in newer]  # noqa: SIM118
     belief = Belief(
         keys=layout.keys,
         root=root,
         rhs=rhs,
         followers=followers,
         slopes=slopes,
-        values=inside,
+        values=values.extract(inside),
         clusters={c: s for c, s in clusters.items() if c in newer},
     )
-    return belief, gone
+    return belief, values.extract(gone)
 
 
 def cluster_keys(cluster: int, values: gtsam.Values) -> list[int]:
@@ -376,5 +406,6 @@ def cluster_keys(cluster: int, values: gtsam.Values) -> list[int]:
 def _triangle(matrix: Array, rhs: Array) -> tuple[Array, Array]:
     """R (n, n) and c (n,) of ‖matrix · δ − rhs‖² = ‖R · δ − c‖² + constant, m >= n rows."""
     size = matrix.shape[1]
-    triangle = np.asarray(np.linalg.qr(np.column_stack([matrix, rhs]), mode='r'))
-    return triangle[:size, :size], triangle[:size, size]
+    packed, _, _, _ = dgeqrf(np.column_stack([matrix, rhs]), overwrite_a=1)
+    triangle = np.triu(packed[:size])
+    return triangle[:, :size], triangle[:, size]

@@ -51,6 +51,11 @@ def bias_key(cluster: int) -> int:
     return int(gtsam.symbol('b', cluster))
 
 
+def cluster_of(key: int) -> int:
+    """Number of the cluster that a variable belongs to."""
+    return key & ((1 << 56) - 1)  # as gtsam.Symbol(key).index(), without making one
+
+
 def key_name(key: int) -> str:
     """Readable name of a key, for example ``x12``."""
     symbol = gtsam.Symbol(key)

@@ -1,19 +1,17 @@
 """Factors as rows of a linear least-squares problem, in plain arrays.
 
 A window's problem has a few dozen unknowns. At that size dense algebra is several times cheaper
-than GTSAM's elimination tree, and a factor that many candidates share is linearised only once.
+than GTSAM's elimination tree.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dposv
+from scipy.linalg.lapack import dpotrf, dpotrs
 
 Array = NDArray[np.float64]
-
 
 VELOCITY = ord('v')
 """Letter of velocities, as it stands in the highest byte of a key."""
@@ -24,43 +22,19 @@ def dimension(key: int) -> int:
     return 3 if key >> 56 == VELOCITY else 6
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Rows:
-    """A whitened factor at some values: its squared error is ‖matrix · δ − rhs‖².
-
-    ``matrix`` is (m, n) and ``rhs`` (m,); δ stacks the tangent steps of ``keys``.
-    """
-
-    keys: tuple[int, ...]
-    matrix: Array
-    rhs: Array
-
-    @property
-    def finite(self) -> bool:
-        """Whether every number is."""
-        return bool(np.isfinite(self.matrix).all() and np.isfinite(self.rhs).all())
-
-
-def linearize(factor: gtsam.NonlinearFactor, values: gtsam.Values) -> Rows:
-    """Linearise a factor at ``values``; raises RuntimeError where a variable is missing."""
-    linear = factor.linearize(values)
-    return Rows(tuple(linear.keys()), *linear.jacobian())
-
-
 class Layout:
     """Where each variable's tangent step stands in a stacked vector."""
 
     __slots__ = ('keys', 'places', 'size')
 
     def __init__(self, keys: Iterable[int]) -> None:
+        self.keys = tuple(dict.fromkeys(keys))
         self.places: dict[int, slice] = {}
-        self.size = 0
-        for key in keys:
-            if key not in self.places:
-                width = dimension(key)
-                self.places[key] = slice(self.size, self.size + width)
-                self.size += width
-        self.keys = tuple(self.places)
+        end = 0
+        for key in self.keys:
+            start, end = end, end + dimension(key)
+            self.places[key] = slice(start, end)
+        self.size = end
 
     def columns(self, keys: Iterable[int]) -> NDArray[np.intp]:
         """Positions of the variables' steps, one after the other."""
@@ -78,20 +52,41 @@ class Layout:
         return vectors
 
 
+class Cholesky:
+    """A factorisation of symmetric positive definite equations, of which many can be solved.
+
+    Units differ by many orders of magnitude between positions and biases, so the matrix is scaled
+    to a unit diagonal first: that is what Cholesky's accuracy depends on.
+    """
+
+    __slots__ = ('_factor', '_scale')
+
+    def __init__(self, information: Array) -> None:
+        """Factorise (n, n); raises ValueError where it is not definite or not finite."""
+        diagonal = np.diagonal(information)
+        if not (diagonal.min(initial=np.inf) > 0.0 and np.isfinite(diagonal).all()):
+            raise ValueError('not positive definite')
+        self._scale = 1.0 / np.sqrt(diagonal)
+        scaled = information * self._scale[:, None]
+        scaled *= self._scale
+        self._factor, failed = dpotrf(scaled, overwrite_a=1, clean=0)
+        if failed:
+            raise ValueError('not positive definite')
+
+    def solve(self, right: Array) -> Array | None:
+        """The solution for ``right`` (n,) or (n, k); None where it is not finite."""
+        scale = self._scale if right.ndim == 1 else self._scale[:, None]
+        solution, _ = dpotrs(self._factor, right * scale)
+        solution *= scale
+        return solution if np.isfinite(solution).all() else None
+
+
 def solve_scaled(information: Array, right: Array) -> Array | None:
     """Solve symmetric positive definite equations for ``right`` (n,) or (n, k).
 
-    None where they are not definite or not finite. Units differ by many orders of magnitude
-    between positions and biases, so the matrix is scaled to a unit diagonal first: that is what
-    Cholesky's accuracy depends on.
+    None where they are not definite or not finite.
     """
-    diagonal = np.diagonal(information)
-    if not np.all((diagonal > 0.0) & np.isfinite(diagonal)):
+    try:
+        return Cholesky(information).solve(right)
+    except ValueError:
         return None
-    scale = 1.0 / np.sqrt(diagonal)
-    rows = scale if right.ndim == 1 else scale[:, None]
-    _, solution, failed = dposv(information * scale[:, None] * scale, right * rows)
-    if failed or not np.isfinite(solution).all():
-        return None
-    step: Array = solution * rows
-    return step

@@ -7,6 +7,7 @@ velocities and biases that candidates are full of.
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import gtsam
 import numpy as np
@@ -117,11 +118,28 @@ def _held(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> list[gtsam
     return priors
 
 
+@lru_cache(maxsize=1024)
+def _no_bias(key: int) -> gtsam.Values:
+    values = gtsam.Values()
+    values.insert(key, gtsam.imuBias.ConstantBias())
+    return values
+
+
+def insert_bias(values: gtsam.Values, key: int, bias: gtsam.imuBias.ConstantBias) -> None:
+    """As ``values.insert(key, bias)``, whose 44 overloads take ten times as long to tell apart.
+
+    Only where keys come again: a new one is inserted that way once.
+    """
+    step = gtsam.VectorValues()
+    step.insert(key, bias.vector())
+    values.insert(_no_bias(key).retract(step))
+
+
 def copy_value(
     source: gtsam.Values, key: int, target: gtsam.Values, name: int | None = None
 ) -> None:
     """Copy one variable between two ``Values``, under another key if ``name`` is given."""
-    kind = chr(gtsam.Symbol(key).chr())
+    kind = chr(key >> 56)
     new = key if name is None else name
     if kind == 'x':
         target.insert(new, source.atPose3(key))

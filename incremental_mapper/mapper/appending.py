@@ -1,14 +1,14 @@
 """Appending the winner: G(t) = G(t-1) ⊕ G_best (paper, Algorithm 1)."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
 
 from incremental_mapper.candidates.clusters import Candidate
 from incremental_mapper.config import Config
-from incremental_mapper.graph.belief import extend, shrink
+from incremental_mapper.graph.belief import Solved, adopt, extend, shrink
 from incremental_mapper.graph.factors import (
     CONTINUITY,
     Factor,
@@ -17,7 +17,7 @@ from incremental_mapper.graph.factors import (
     pose_key,
     velocity_key,
 )
-from incremental_mapper.graph.solver import copy_value
+from incremental_mapper.graph.solver import copy_value, squared_error
 from incremental_mapper.mapper.front_end import PreparedFix
 from incremental_mapper.mapper.local_graph import WindowFactors, WindowInputs
 from incremental_mapper.mapper.scan_preparer import PreparedScan
@@ -34,21 +34,33 @@ KNOWN_VELOCITY = 0.5
 """m/s; a velocity with a smaller standard deviation may be used to predict motion."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Appended:
+    """New clusters, and Σ‖h(x)−z‖²_Σ of the factors that came with them."""
+
+    placed: tuple[PlacedCluster, ...]
+    error: float
+
+
+NOTHING = Appended((), 0.0)
+"""What a window appends that is carried into the next one."""
+
+
 def append_candidate(
     state: GraphState,
     window: int,
     candidate: Candidate,
-    initial: gtsam.Values,
+    solved: Solved | None,
     extra: Sequence[Factor],
     factors: WindowFactors,
     inputs: WindowInputs,
     consecutive: bool,
-) -> tuple[list[PlacedCluster], list[Factor]]:
-    """Give the winner its final numbers, append it to ``state`` and solve.
+) -> Appended:
+    """Give the winner its final numbers, append it to ``state``, and solve it if it is not solved.
 
-    ``initial`` holds at least the candidate's new variables. ``extra`` are weak priors or
-    bridges beside the candidate's own factors; ``consecutive`` makes the next
-    window connect from the newest cluster whatever it has. Returns the new clusters and factors.
+    ``extra`` are weak priors or bridges beside the candidate's own factors, which are not in
+    ``solved``; ``consecutive`` makes the next
+    window connect from the newest cluster whatever it has.
     """
     config = inputs.config
     placed: list[PlacedCluster] = []
@@ -60,16 +72,16 @@ def append_candidate(
         for make in (pose_key, velocity_key, bias_key):
             final[make(local)] = make(number)
     made = [_renamed(factor, final) for factor in [*factors.factors(candidate), *extra]]
-    values = gtsam.Values()
-    for key in factors.new_keys(candidate):
-        copy_value(initial, key, values, final.get(key, key))
-    state.belief, _ = extend(
-        state.belief,
-        [factor.factor for factor in made],
-        values,
-        {item.id: item.cluster.stamp for item in placed},
-        config.graph.max_iterations,
-    )
+    stamps = {item.id: item.cluster.stamp for item in placed}
+    if solved is not None and not extra:
+        state.belief = adopt(state.belief, solved, final, stamps)
+    else:
+        values, initial = gtsam.Values(), factors.initial(candidate)
+        for key in initial.keys():  # noqa: SIM118 (no mapping)
+            copy_value(initial, key, values, final.get(key, key))
+        plain = [factor.factor for factor in made]
+        state.belief, _ = extend(state.belief, plain, values, stamps, config.graph.max_iterations)
+    error = squared_error((factor.factor for factor in made), state.belief.values)
     _remember_measurements(state, placed, factors, inputs, made)
     state.add_factors(made)
     state.clusters.extend(placed)
@@ -87,7 +99,7 @@ def append_candidate(
     oldest = state.frontier.newest_stamp - round(config.graph.lag * NANOSECONDS)
     state.belief, gone = shrink(state.belief, state.frontier.clusters(), oldest)
     state.keep(gone)
-    return placed, made
+    return Appended(tuple(placed), error)
 
 
 def _velocity_sigma(state: GraphState, cluster: int) -> float:

@@ -50,7 +50,6 @@ def window_inputs(
         scan_offsets=state.scan_offsets,
         alignment=_alignment(items, state, states, config),
         fix_inflation=fix_spread(state, items),
-        base_id=len(state.clusters),
         config=config,
     )
 

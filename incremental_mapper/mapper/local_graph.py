@@ -34,6 +34,7 @@ from incremental_mapper.graph.factors import (
     velocity_key,
     velocity_prior,
 )
+from incremental_mapper.graph.solver import insert_bias
 from incremental_mapper.mapper.front_end import Prepared, PreparedFix
 from incremental_mapper.mapper.prediction import State, propagate
 from incremental_mapper.mapper.scan_preparer import PreparedScan
@@ -44,6 +45,8 @@ UNSEEN_ACCELERATION = 2.0
 """m/s^2 by which a car's acceleration may differ from what the nearest IMU sample says."""
 SHORTEST = NANOSECONDS // 1000
 """Nanoseconds for which velocity and bias may change at the least, so that no sigma is zero."""
+LOCAL = 1 << 40
+"""Candidates' clusters are numbered from here on while they compete, the same in every window."""
 GRAPH = 'G(t-1)'
 """The node that stands for all of G(t-1) in the connectivity of a candidate."""
 
@@ -61,7 +64,6 @@ class WindowInputs:
     scan_offsets: Mapping[tuple[str, int], gtsam.Pose3]
     alignment: Alignment
     fix_inflation: Mapping[int, float]
-    base_id: int
     config: Config
 
 
@@ -73,13 +75,14 @@ class WindowFactors:
         self._elements = elements
         self._cache: dict[tuple[object, ...], tuple[Factor, ...]] = {}
         self._offsets: dict[tuple[int, int], gtsam.Pose3] = {}
+        self._reckoned: dict[int, State] = {}
         self._sigmas = pose_sigmas(
             inputs.config.odometry.sigma_translation, inputs.config.odometry.sigma_rotation
         )
 
     def local_id(self, cluster: Cluster) -> int:
         """Number of a cluster while candidates compete; unique within the window."""
-        return self._in.base_id + cluster.first * self._elements + cluster.last
+        return LOCAL + cluster.first * self._elements + cluster.last
 
     def home(self, candidate: Candidate) -> dict[tuple[str, int], int]:
         """Cluster of every scan that an odometry of this window may start from."""
@@ -128,9 +131,13 @@ class WindowFactors:
         return self._offsets[key]
 
     def _reckon(self, stamp: int) -> State:
-        inputs = self._in
-        max_gap = round(inputs.config.preintegration.max_gap * NANOSECONDS)
-        return propagate(inputs.head_state, stamp, inputs.series, inputs.parameters, max_gap)
+        if stamp not in self._reckoned:
+            inputs = self._in
+            max_gap = round(inputs.config.preintegration.max_gap * NANOSECONDS)
+            self._reckoned[stamp] = propagate(
+                inputs.head_state, stamp, inputs.series, inputs.parameters, max_gap
+            )
+        return self._reckoned[stamp]
 
     def factors(self, candidate: Candidate, since: int = 0) -> list[Factor]:
         """All factors of a candidate except priors that hold loose components.
@@ -222,26 +229,12 @@ class WindowFactors:
             assert head is not None
             self._add_inertial(head, self._in.head_state.velocity, values)
 
-    def new_keys(self, candidate: Candidate) -> list[int]:
-        """Keys of the candidate's new variables."""
-        keys = []
-        for index, cluster in enumerate(candidate.clusters):
-            own = self.local_id(cluster)
-            keys.append(pose_key(own))
-            if index in candidate.inertial_clusters:
-                keys += [velocity_key(own), bias_key(own)]
-        if HEAD in candidate.inertial_clusters and not self._in.frontier.head_inertial:
-            head = self._in.frontier.head
-            assert head is not None
-            keys += [velocity_key(head), bias_key(head)]
-        return keys
-
     def _add_inertial(
         self, cluster: int, velocity: NDArray[np.float64], values: gtsam.Values
     ) -> None:
         if not values.exists(velocity_key(cluster)):
             values.insert(velocity_key(cluster), velocity)
-            values.insert(bias_key(cluster), self._in.head_state.bias)
+            insert_bias(values, bias_key(cluster), self._in.head_state.bias)
 
     def _odometry(
         self, item: PreparedScan, start: int, start_cluster: Cluster | None, end: Cluster

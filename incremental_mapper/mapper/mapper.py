@@ -5,7 +5,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import astuple, dataclass, replace
 from typing import Any
 
-import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,13 +18,11 @@ from incremental_mapper.frontend.inertial import EMPTY_SERIES, preintegration_pa
 from incremental_mapper.graph.belief import trimmed
 from incremental_mapper.graph.factors import Factor, pose_key
 from incremental_mapper.graph.solver import (
-    copy_value,
     make_graph,
     optimize,
-    squared_error,
 )
 from incremental_mapper.map.store import make_store
-from incremental_mapper.mapper.appending import append_candidate
+from incremental_mapper.mapper.appending import NOTHING, Appended, append_candidate
 from incremental_mapper.mapper.effort import FULL, Effort
 from incremental_mapper.mapper.front_end import FrontEnd, Preparation, Prepared
 from incremental_mapper.mapper.georeference import georeference
@@ -34,14 +31,14 @@ from incremental_mapper.mapper.local_graph import WindowFactors, WindowInputs
 from incremental_mapper.mapper.result import MapResult, NewestState, WindowResult
 from incremental_mapper.mapper.scenes import SceneBuilder
 from incremental_mapper.mapper.selection import Choice, choose
-from incremental_mapper.mapper.state import BaseCount, GraphState, PlacedCluster
+from incremental_mapper.mapper.state import BaseCount, GraphState
 from incremental_mapper.mapper.statistics import Totals, run_stats, window_row
 from incremental_mapper.mapper.task import Task
 from incremental_mapper.measurements import ImuSample, Measurement
 from incremental_mapper.trajectory import NANOSECONDS, from_matrices
 from incremental_mapper.windows.buffer import Window, WindowBuffer, joined
 
-MOST_AHEAD = 2
+MOST_AHEAD = 5
 """Windows whose scans may be prepared in other processes while an older one is waited for."""
 
 
@@ -229,7 +226,7 @@ class Mapper:
         """Choose and append; measurements that no candidate connects are carried on."""
         items = sorted([*self._carried, *prepared], key=lambda item: item.core)
         if not items:
-            return self._close(frame, items, None, [], [])
+            return self._close(frame, items, None)
         self._count_base(prepared)
         started = time.perf_counter()
         inputs = window_inputs(
@@ -268,13 +265,13 @@ class Mapper:
             waited = (items[-1].core.stamp - items[0].core.stamp) / NANOSECONDS
             if not force and waited < self.config.window.max_carry:
                 self._carried = items
-                return self._close(frame, items, choice, [], [])
+                return self._close(frame, items, choice)
             choice, extra = self._bridged(choice, task, inputs)
         self._carried = []
         started = time.perf_counter()
-        placed, made = self._append(choice, extra, factors, inputs)
+        appended = self._append(choice, extra, factors, inputs)
         frame.seconds['append'] = time.perf_counter() - started
-        return self._close(frame, items, choice, placed, made)
+        return self._close(frame, items, choice, appended)
 
     def _bridged(
         self, choice: Choice, task: Task, inputs: WindowInputs
@@ -292,10 +289,7 @@ class Mapper:
         self._totals.bridges += len(loose)
         pose = None if newest is None else self._state.pose(newest)
         extra = [task.factors.bridge(part[0], best.clusters[0], pose) for part in loose]
-        bridged = replace(
-            choice, winner=best, initial=task.factors.initial(best), score_name='bridged'
-        )
-        return bridged, extra
+        return replace(choice, winner=best, solution=None, score_name='bridged'), extra
 
     def _append(
         self,
@@ -303,13 +297,13 @@ class Mapper:
         extra: Sequence[Factor],
         factors: WindowFactors,
         inputs: WindowInputs,
-    ) -> tuple[list[PlacedCluster], list[Factor]]:
-        assert choice.winner is not None and choice.initial is not None
-        placed, made = append_candidate(
+    ) -> Appended:
+        assert choice.winner is not None
+        appended = append_candidate(
             self._state,
             self._totals.windows,
             choice.winner,
-            choice.initial,
+            choice.solution,
             extra,
             factors,
             inputs,
@@ -320,7 +314,7 @@ class Mapper:
         frontier = self._state.frontier
         # Samples after the last cluster stamp belong to the next window.
         self._series = self._series.since(min(frontier.head_stamp, frontier.newest_stamp))
-        return placed, made
+        return appended
 
     def _count_base(self, prepared: Sequence[Prepared]) -> None:
         imu = ImuStamps(self._series.stamps, self._imu_gap)
@@ -334,25 +328,16 @@ class Mapper:
             gnss = sum(item.core.kind == 'gnss' for item in links)
             self._base.add_element(stamp, odometry, gnss, joined)
 
-    def _newest_error(self, made: Sequence[Factor]) -> float:
-        """Σ‖h(x)−z‖²_Σ of the window's factors after they were appended."""
-        touched = {key for factor in made for key in factor.keys}
-        values = gtsam.Values()
-        for key in touched:
-            copy_value(self._state.holder(key), key, values)
-        return squared_error((factor.factor for factor in made), values)
-
     def _close(
         self,
         frame: '_Frame',
         items: Sequence[Prepared],
         choice: Choice | None,
-        placed: Sequence[PlacedCluster],
-        made: Sequence[Factor],
+        appended: Appended = NOTHING,
     ) -> WindowResult:
         """Record a window's numbers."""
         totals, seconds = self._totals, frame.seconds
-        error = self._newest_error(made)
+        placed, error = appended.placed, appended.error
         for stage, spent in (choice.seconds if choice else {}).items():
             seconds[stage] = seconds.get(stage, 0.0) + spent
         if choice is not None:
@@ -374,7 +359,7 @@ class Mapper:
             start=frame.start,
             end=frame.end,
             winner=None if choice is None or not placed else choice.winner,
-            clusters=tuple(placed),
+            clusters=placed,
             poses=tuple(self._state.pose(item.id) for item in placed),
             row=row,
             tried=() if choice is None else choice.tried,

@@ -22,7 +22,7 @@ from incremental_mapper.criteria.criterion import (
     score_all,
 )
 from incremental_mapper.criteria.mom import direct_score, fast_scores
-from incremental_mapper.graph.belief import Problem
+from incremental_mapper.graph.belief import Problem, Solved
 from incremental_mapper.mapper.beam import beam_search
 from incremental_mapper.mapper.task import Task
 
@@ -66,11 +66,13 @@ class Tried:
 class Choice:
     """The winner of a window and how it was found; ``winner`` is None where none connects.
 
+    ``solution`` is the winner as it was judged, None where its strategy solves no candidates.
+
     ``tried`` are all candidates that were looked at, in the order of their enumeration.
     """
 
     winner: Candidate | None
-    initial: gtsam.Values | None
+    solution: Solved | None
     loose: tuple[tuple[Cluster, ...], ...]
     score: float | None
     score_name: str
@@ -101,7 +103,7 @@ def choose(
         clock.lap('candidates')
         return Choice(
             winner=base,
-            initial=task.factors.initial(base),
+            solution=None,
             loose=loose,
             score=None,
             score_name='base',
@@ -147,13 +149,9 @@ def choose(
         for item in enumerated
     )
     best = _best(scores, [proposal.candidate for proposal, _ in proposals])
-    winner = initial = None
-    if best is not None:
-        winner, solution = proposals[best][0].candidate, proposals[best][1]
-        initial = task.factors.initial(winner) if solution is None else solution
     return Choice(
-        winner=winner,
-        initial=initial,
+        winner=None if best is None else proposals[best][0].candidate,
+        solution=None if best is None else proposals[best][1],
         loose=(),
         score=None if best is None else scores[best],
         score_name=criterion.name,
@@ -232,7 +230,7 @@ def _refined(
     plan: StrategyPlan,
     problem: Problem,
     criterion: Criterion,
-    proposals: list[tuple[Proposal, gtsam.Values | None]],
+    proposals: list[tuple[Proposal, Solved | None]],
     scores: list[float],
     selection: SelectionSettings,
     clock: '_Clock',
@@ -283,7 +281,7 @@ def _propose(
     problem: Problem,
     connected: list[Candidate],
     clock: '_Clock',
-) -> Iterator[tuple[Proposal, gtsam.Values | None]]:
+) -> Iterator[tuple[Proposal, Solved | None]]:
     """Solve the connected candidates; what cannot be solved is left out."""
     for candidate in connected:
         if not plan.solve:
@@ -296,7 +294,7 @@ def _propose(
             continue
         poses = task.scenes.poses(candidate, solved.values) if plan.scene else None
         clock.lap('solve')
-        yield Proposal(candidate, solved.error, poses), solved.values
+        yield Proposal(candidate, solved.error, poses), solved
 
 
 def _verify(criterion: Mom, proposals: list[Proposal], clock: '_Clock') -> Verification | None:

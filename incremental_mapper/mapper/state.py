@@ -17,10 +17,11 @@ from incremental_mapper.graph.factors import (
     Factor,
     FactorKind,
     bias_key,
+    cluster_of,
     pose_key,
     velocity_key,
 )
-from incremental_mapper.graph.solver import copy_value
+from incremental_mapper.graph.linear import VELOCITY
 from incremental_mapper.map.store import MemoryStore, PointStore, StoredPoints
 
 
@@ -130,9 +131,9 @@ class GraphState:
         self.factors.extend(made)
         for factor in made:
             self.factor_counts[str(factor.kind)] += 1
-            for symbol in map(gtsam.Symbol, factor.keys):
-                if symbol.chr() == ord('v'):
-                    self.inertial.add(symbol.index())
+            for key in factor.keys:
+                if key >> 56 == VELOCITY:
+                    self.inertial.add(cluster_of(key))
 
     def pose(self, cluster: int) -> gtsam.Pose3:
         """Newest estimate of a cluster's pose T_map_base."""
@@ -169,8 +170,7 @@ class GraphState:
 
     def keep(self, gone: gtsam.Values) -> None:
         """Store variables that left the lag."""
-        for key in gone.keys():  # noqa: SIM118 (no mapping)
-            copy_value(gone, key, self.values)
+        self.values.insert(gone)
 
     def holder(self, key: int) -> gtsam.Values:
         """The values that hold a variable's newest estimate."""
