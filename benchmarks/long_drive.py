@@ -10,8 +10,7 @@ import numpy as np
 import pymap3d
 
 from incremental_mapper.datasets.source import Source, SourceInfo
-from incremental_mapper.measurements import Drops, GnssFix, Measurement
-from incremental_mapper.trajectory import NANOSECONDS
+from incremental_mapper.measurements import NANOSECONDS, Drops, GnssFix, Measurement
 
 PAUSE = 0.15
 """Seconds between two rounds: the surroundings change there, so nothing may be matched across."""

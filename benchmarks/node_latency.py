@@ -44,6 +44,7 @@ from incremental_mapper.config import make_config, merge, read_yaml
 from incremental_mapper.datasets.bags import open_bag
 from incremental_mapper.errors import InputError, MapperError
 from incremental_mapper.measurements import (
+    NANOSECONDS,
     FixStatus,
     GnssFix,
     ImuSample,
@@ -51,7 +52,6 @@ from incremental_mapper.measurements import (
     Measurement,
 )
 from incremental_mapper.ros.client import Heard
-from incremental_mapper.trajectory import NANOSECONDS
 from incremental_mapper.windows.buffer import WindowBuffer
 
 KINDS = {'imu': Imu, 'gnss': NavSatFix}

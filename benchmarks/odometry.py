@@ -30,8 +30,8 @@ from incremental_mapper.datasets.open import open_source
 from incremental_mapper.evaluation.run import settle_config
 from incremental_mapper.mapper.front_end import FrontEnd
 from incremental_mapper.mapper.scan_preparer import PreparedScan
-from incremental_mapper.measurements import LidarScan
-from incremental_mapper.trajectory import NANOSECONDS, Trajectory
+from incremental_mapper.measurements import NANOSECONDS, LidarScan
+from incremental_mapper.trajectory import Trajectory
 
 SPIN = 2.0 * np.pi * 10.0
 """Angular speed of the simulated LiDAR, rad/s; its head turns clockwise."""

@@ -104,6 +104,8 @@ class OdometrySettings(Section):
     """Down-sampling before gicp; voxel size of the local map for kiss_icp. Metres."""
     max_correspondence: float = Field(default=2.0, gt=0.0, le=50.0)
     """Largest distance of a gicp correspondence in metres."""
+    match_range: float = Field(default=80.0, gt=0.0, le=1000.0)
+    """Points that are further from base_link in the plane, in metres, are left out by gicp."""
     local_map_scans: int = Field(default=1, ge=1, le=200)
     """gicp target: 1 matches scan to scan, more match to a sliding map of so many scans."""
     min_points: int = Field(default=100, ge=10, le=100_000)

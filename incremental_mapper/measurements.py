@@ -4,6 +4,7 @@ Stamps are the header stamps, nanoseconds since the epoch. Arrays that a measure
 never written to after it was made.
 """
 
+import math
 from collections import Counter
 from dataclasses import dataclass
 from enum import IntEnum
@@ -18,6 +19,8 @@ Points: TypeAlias = NDArray[np.float32]
 Vector: TypeAlias = NDArray[np.float64]
 Drops: TypeAlias = Counter[tuple[str, str]]
 """How many measurements were not used, by (sensor, reason)."""
+
+NANOSECONDS = 1_000_000_000
 
 
 class FixStatus(IntEnum):
@@ -167,13 +170,14 @@ def make_imu(
     """Build an inertial sample; raises MeasurementError where it is not finite."""
     rate = np.asarray(gyro, dtype=np.float64).reshape(3)
     force = np.asarray(acceleration, dtype=np.float64).reshape(3)
-    if not (np.isfinite(rate).all() and np.isfinite(force).all()):
+    # There are hundreds a second: on plain floats this is several times as quick.
+    if not all(map(math.isfinite, (*rate.tolist(), *force.tolist()))):
         raise MeasurementError(
             'not_finite', f'{sensor} at {stamp}: gyro {rate}, acceleration {force} are not finite'
         )
     turn = None
     if orientation is not None:
         turn = np.asarray(orientation, dtype=np.float64).reshape(4)
-        norm = float(np.linalg.norm(turn)) if np.isfinite(turn).all() else 0.0
+        norm = math.hypot(*turn.tolist())
         turn = turn / norm if abs(norm - 1.0) < 0.1 else None
     return ImuSample(stamp=stamp, sensor=sensor, gyro=rate, acceleration=force, orientation=turn)

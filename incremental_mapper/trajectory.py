@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 from incremental_mapper.errors import InputError
-
-NANOSECONDS = 1_000_000_000
+from incremental_mapper.measurements import NANOSECONDS
 
 
 @dataclass(frozen=True, slots=True, eq=False)

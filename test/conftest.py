@@ -17,7 +17,8 @@ from incremental_mapper.cli.convert import convert
 from incremental_mapper.cli.main import main
 from incremental_mapper.datasets.simulated.folder import simulate
 from incremental_mapper.datasets.simulated.options import MotionKind, SimulationOptions
-from incremental_mapper.trajectory import NANOSECONDS, read_tum
+from incremental_mapper.measurements import NANOSECONDS
+from incremental_mapper.trajectory import read_tum
 
 FILES = {'trajectory.tum', 'map.ply', 'graph.g2o', 'graph.json', 'windows.csv', 'stats.json'}
 UNCOUNTED = {'bad_line', 'bad_name'}

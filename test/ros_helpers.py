@@ -33,10 +33,10 @@ from incremental_mapper.datasets.open import open_source
 from incremental_mapper.evaluation.comparison import compare_graphs, read_graph
 from incremental_mapper.evaluation.run import map_source, settle_config
 from incremental_mapper.mapper.output import graph_tree
+from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.ros.messages import read_status
 from incremental_mapper.ros.node import MapperNode
 from incremental_mapper.ros.programs import free_domain
-from incremental_mapper.trajectory import NANOSECONDS
 
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
 

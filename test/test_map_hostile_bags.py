@@ -10,7 +10,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from incremental_mapper.datasets.bags import SETTINGS_FILE
-from incremental_mapper.trajectory import NANOSECONDS
+from incremental_mapper.measurements import NANOSECONDS
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 NO_FIX, UNKNOWN_STATUS = -1, -2

@@ -9,7 +9,7 @@ import pytest
 
 from incremental_mapper.datasets.truth import read_truth
 from incremental_mapper.evaluation.trajectory_error import match_truth
-from incremental_mapper.trajectory import NANOSECONDS
+from incremental_mapper.measurements import NANOSECONDS
 
 STATE, LATITUDE, LONGITUDE = 6, 1, 2
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from incremental_mapper.criteria.eigen import full_matrices, smallest_eigen
-from incremental_mapper.criteria.moments import covariances, products, sum_products, transfers
+from incremental_mapper.criteria.moments import covariances, sum_products, transfers
 from incremental_mapper.criteria.neighbourhoods import BLOCK, RowIndex
 from incremental_mapper.criteria.shell import drifts, squared_lengths
 
@@ -101,6 +101,12 @@ def test_six_numbers_make_the_matrix():
     assert full_matrices(six(matrices)).tolist() == matrices.tolist()
 
 
+def moments(points):
+    """Moments (10, 1) of all the points (N, 3) together."""
+    every = np.arange(len(points))
+    return sum_products(np.zeros_like(every), every, points.T, 1)
+
+
 def motion(seed):
     rng = np.random.default_rng(seed)
     matrix = np.eye(4)
@@ -112,7 +118,7 @@ def motion(seed):
 @given(st.integers(1, 30), st.integers(0, 1000))
 def test_covariance_of_moments_is_that_of_the_points(count, seed):
     points = np.random.default_rng(seed).normal(size=(count, 3)) + np.array([5.0, -3.0, 1.0])
-    found = full_matrices(covariances(products(points.T).sum(axis=0)[:, None]))[0]
+    found = full_matrices(covariances(moments(points)))[0]
     assert found == pytest.approx(np.cov(points.T, bias=True).reshape(3, 3), abs=1e-12)
 
 
@@ -125,39 +131,37 @@ def test_moments_move_as_their_points_do(count, seed):
     points = np.random.default_rng(seed).normal(size=(count, 3))
     move = motion(seed)
     placed = points @ move[:3, :3].T + move[:3, 3]
-    moved = transfers(move) @ products(points.T).sum(axis=0)
-    assert moved == pytest.approx(products(placed.T).sum(axis=0), rel=1e-9, abs=1e-9)
+    moved = transfers(move) @ moments(points)
+    assert moved == pytest.approx(moments(placed), rel=1e-9, abs=1e-9)
 
 
-def test_products_of_more_points_than_a_block():
+def test_moment_of_one_point_is_its_products():
     points = np.random.default_rng(0).normal(size=(5001, 3))
+    every = np.arange(len(points))
     tilde = np.append(points, np.ones((len(points), 1)), axis=1)
     outer = tilde[:, :, None] * tilde[:, None, :]
     rows, columns = np.triu_indices(4)
-    assert products(points.T).tolist() == outer[:, rows, columns].tolist()
-    assert products(np.zeros((3, 0))).shape == (0, 10)
+    numbers = sum_products(every, every, points.T, len(points))
+    assert numbers.T.tolist() == outer[:, rows, columns].tolist()
+    nothing = every[:0]
+    assert sum_products(nothing, nothing, np.zeros((3, 0)), 0).shape == (10, 0)
 
 
-def test_sums_are_weighted_and_split():
-    numbers = np.arange(30.0).reshape(3, 10)
-    sums = sum_products(
-        np.array([1, 1, 0, 1]),
-        np.array([0, 2, 2, 0]),
-        np.array([1.0, 1.0, -1.0, 0.0]),
-        numbers,
-        3,
-    )
-    assert sums.tolist() == [(-numbers[2]).tolist(), (numbers[0] + numbers[2]).tolist(), [0.0] * 10]
+def test_sums_are_split_and_points_count_as_often_as_they_are_named():
+    points = np.arange(9.0).reshape(3, 3)
+    sums = sum_products(np.array([1, 1, 0, 1]), np.array([0, 2, 2, 0]), points.T, 3)
+    first, last = moments(points[:1]), moments(points[2:])
+    assert sums.tolist() == np.hstack([last, 2 * first + last, np.zeros((10, 1))]).tolist()
 
 
 def found_pairs(points, queries, radii, radius):
     index = RowIndex(points, radius)
     found = []
     for pairs in index.search(queries, radii):
-        apart = index.points[:, pairs.columns] - queries[:, pairs.queries[pairs.rows]]
+        asked = np.arange(queries.shape[1])[pairs.queries][pairs.rows]
+        apart = index.points[:, pairs.columns] - queries[:, asked]
         assert pairs.squares == pytest.approx(np.square(apart).sum(axis=0))
-        owners = pairs.queries[pairs.rows].tolist()
-        found += list(zip(owners, index.order[pairs.columns].tolist(), strict=True))
+        found += list(zip(asked.tolist(), index.order[pairs.columns].tolist(), strict=True))
     assert len(found) == len(set(found))
     return set(found)
 
@@ -181,6 +185,17 @@ def test_search_finds_the_pairs_that_are_near_enough(count, asked, radius, exten
         zip(*(side.tolist() for side in np.nonzero(apart <= radii[:, None])), strict=True)
     )
     assert found_pairs(points, queries, radii, radius) == expected
+
+
+def test_search_finds_the_same_pairs_where_the_points_spread_too_far_for_short_keys():
+    rng = np.random.default_rng(0)
+    near, far = rng.uniform(-3, 3, size=(3, 300)), np.array([[1e5, -1e5]] * 3)
+    queries = near[:, :40] + 0.1
+    apart = np.linalg.norm(queries[:, :, None] - near[:, None, :], axis=0)
+    expected = set(zip(*(side.tolist() for side in np.nonzero(apart <= 1.5)), strict=True))
+    radii = np.full(40, 1.5)
+    assert found_pairs(near, queries, radii, 1.5) == expected
+    assert found_pairs(np.hstack([near, far]), queries, radii, 1.5) == expected
 
 
 @settings(deadline=None)

@@ -12,11 +12,12 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from incremental_mapper.config import OdometryMethod, OdometrySettings, make_config
-from incremental_mapper.frontend.clouds import Sweep, Twist, deskew, thin, to_base, voxel_means
+from incremental_mapper.frontend.clouds import Sweep, Twist, deskew, to_base
 from incremental_mapper.frontend.odometry import make_matcher
 from incremental_mapper.mapper.front_end import FrontEnd, PreparedFix
 from incremental_mapper.mapper.scan_preparer import PreparedScan, ScanPreparer
 from incremental_mapper.measurements import FixStatus, GnssFix, LidarScan
+from incremental_mapper.voxels import thin, voxel_means
 
 SECOND = 1_000_000_000
 EPOCH = 1_544_676_777_000_000_000
@@ -86,6 +87,26 @@ def test_standing_car_does_not_move(method):
             assert_close(match.T_previous_current, gtsam.Pose3(), 0.05, 0.005)
 
 
+def test_gicp_matches_what_is_near():
+    matcher, alone = (
+        make_matcher(OdometrySettings(method='gicp', match_range=45)) for _ in range(2)
+    )
+    for i, pose in enumerate(poses(3)):
+        near, far = seen_from(pose, room(seed=i)), room(seed=i) + [80.0, 0.0, 0.0]
+        found = matcher.match(np.vstack([near, far]), STEP), alone.match(near, STEP)
+        if i:
+            assert_close(*(item.T_previous_current for item in found), 1e-9, 1e-9)
+
+
+def test_gicp_matches_what_is_far_where_nothing_else_is_seen():
+    matcher = make_matcher(OdometrySettings(method=OdometryMethod.GICP, match_range=45))
+    for i, pose in enumerate(poses(3)):
+        match = matcher.match(seen_from(pose, room(seed=i) + np.array([80.0, 0.0, 0.0])), STEP)
+        if i:
+            assert match.overlap > 0.5
+            assert_close(match.T_previous_current, STEP, 0.1, 0.005)
+
+
 # Clouds.
 
 component = st.floats(-30.0, 30.0)
@@ -113,7 +134,7 @@ def test_deskewing_is_the_rotation_and_the_translation_since_the_moment(
     assert found == pytest.approx(expected, abs=1e-9)
 
 
-@pytest.mark.parametrize('scale', [1.0, 1e7], ids=['numbered_voxels', 'too_many_voxels_to_number'])
+@pytest.mark.parametrize('scale', [1.0, 1e3, 1e7], ids=['few', 'many', 'too_many_to_number'])
 def test_thinned_points_are_the_means_of_their_voxels(scale):
     points = np.vstack([room(3000), room(20, seed=1) * scale])
     found = {tuple(np.floor(point / 0.5)): point for point in thin(points, 0.5)}
@@ -130,6 +151,14 @@ def test_thinning_agrees_with_the_sampler_of_small_gicp_and_takes_further_rows_a
     order, other = (np.lexsort(table.T) for table in (means[:3].T, expected))
     assert means[:3].T[order] == pytest.approx(expected[other], abs=1e-9)
     assert means[3] == pytest.approx(means[0] * 2.0)
+
+
+@pytest.mark.parametrize('far', [0.0, 1e7], ids=['numbered_voxels', 'too_many_to_number'])
+def test_voxels_come_in_the_order_of_their_last_points(far):
+    points = np.vstack([room(3000), np.full((1, 3), far)])
+    last = {tuple(np.floor(point / 0.5)): i for i, point in enumerate(points)}
+    found = [last[tuple(np.floor(point / 0.5))] for point in thin(points, 0.5)]
+    assert found == sorted(last.values())
 
 
 def test_nothing_is_thinned_to_nothing():

@@ -26,7 +26,8 @@ from incremental_mapper.evaluation.pictures import (
     draw_trajectory,
     side_figure,
 )
-from incremental_mapper.trajectory import NANOSECONDS, Trajectory
+from incremental_mapper.measurements import NANOSECONDS
+from incremental_mapper.trajectory import Trajectory
 
 REASON = 'matplotlib is not installed; pictures need the extra "report"'
 image = pytest.importorskip('matplotlib.image', reason=REASON)

@@ -19,7 +19,8 @@ from incremental_mapper.evaluation.segments import (
     segment_by_motion,
     segment_indices,
 )
-from incremental_mapper.trajectory import NANOSECONDS, Trajectory
+from incremental_mapper.measurements import NANOSECONDS
+from incremental_mapper.trajectory import Trajectory
 
 START = 1_544_590_798_123_456_789
 ZERO, ACCEL, CONST, DECEL = Motion

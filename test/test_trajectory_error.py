@@ -13,7 +13,8 @@ from incremental_mapper.evaluation.trajectory_error import (
     relative_pose_errors,
     trajectory_errors,
 )
-from incremental_mapper.trajectory import NANOSECONDS, Trajectory, from_matrices
+from incremental_mapper.measurements import NANOSECONDS
+from incremental_mapper.trajectory import Trajectory, from_matrices
 
 START = 1_544_590_798_123_456_789
 SEEDS = st.integers(0, 2**32 - 1)

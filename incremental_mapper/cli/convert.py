@@ -17,8 +17,7 @@ from incremental_mapper.datasets.kaist_files import Recording, read_recording
 from incremental_mapper.datasets.topics import TRUTH_TOPIC
 from incremental_mapper.datasets.truth import find_truth
 from incremental_mapper.errors import MeasurementError, OutputError
-from incremental_mapper.measurements import Drops
-from incremental_mapper.trajectory import NANOSECONDS
+from incremental_mapper.measurements import NANOSECONDS, Drops
 
 METADATA = 'metadata.yaml'
 

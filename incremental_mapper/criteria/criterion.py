@@ -17,7 +17,7 @@ from incremental_mapper.criteria.mom import (
     fast_scores,
 )
 from incremental_mapper.errors import ConfigError
-from incremental_mapper.trajectory import NANOSECONDS
+from incremental_mapper.measurements import NANOSECONDS
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -20,11 +20,10 @@ from incremental_mapper.criteria.moments import (
     COUNT,
     NUMBERS,
     covariances,
-    products,
     sum_products,
     transfers,
 )
-from incremental_mapper.criteria.neighbourhoods import RowIndex
+from incremental_mapper.criteria.neighbourhoods import Pairs, RowIndex
 from incremental_mapper.criteria.planes import orthogonal_families, spread_positions
 from incremental_mapper.criteria.shell import ROUNDING, Shell, drifts, squared_lengths
 
@@ -57,8 +56,8 @@ class Judges:
 
     ``points`` (3, P) stand at the reference, relative to the origin; ``scan`` (P,) says whose
     they are: 0 the fixed points, then the moving scans. ``parts`` (10·(1 + S), P) are the moments
-    of each scan's part of a neighbourhood, at the reference. They hold under any candidate that
-    drifts by no more than ``reach`` (1 + S, P) metres, but for the pairs in ``shell``.
+    of each scan's part of a neighbourhood, at the reference, number by number. They hold under any
+    candidate that drifts by no more than ``reach`` (1 + S, P) metres, but for the ``shell``.
     ``weights`` (P,) of the judges make the mean over families of the mean in each; ``families``
     are those that count, and ``family`` (P,) is 0, 1 or 2.
     """
@@ -80,42 +79,45 @@ def choose_judges(scene: Scene, settings: MomSettings) -> Judges | None:
     None where there is no such neighbourhood.
     """
     points, owner = _place(scene, scene.poses[0])
-    fresh = np.flatnonzero((owner >= 1) & (owner <= scene.fresh))
+    first, last = np.searchsorted(owner, [1, scene.fresh + 1])
     # Half as many again as are wanted: not every seed turns out to be planar.
-    seeds = fresh[spread_positions(len(fresh), settings.max_points * 3 // 2)]
+    seeds = first + spread_positions(int(last - first), settings.max_points * 3 // 2)
     if len(seeds) == 0:
         return None
-    queries, scan, scans = points[:, seeds], owner[seeds], len(scene.moving) + 1
-    reach = _reach(_motions(scene, scene.poses), queries, scan, settings.radius)
-    index = RowIndex(points, settings.radius)
-    points, owner = index.points, owner[index.order]
-    numbers, parts, rims = products(points), np.empty((scans, len(seeds), NUMBERS)), []
-    for pairs in index.search(queries, settings.radius + reach.max(axis=0) + ROUNDING):
-        count = len(pairs.queries)
-        # Where the point's scan and the query of a pair stand in tables (1 + S, count).
-        cell = owner[pairs.columns] * count + pairs.rows
+    queries, scan, scans = points.take(seeds, axis=1), owner[seeds], len(scene.moving) + 1
+    # The reference itself does not drift.
+    reach = _reach(_motions(scene, scene.poses[1:]), queries, scan, settings.radius)
+    radii = settings.radius + reach.max(axis=0) + ROUNDING
+    index = RowIndex(points, float(radii.max()))
+    points, owner = index.points, owner.take(index.order)
+    parts, rims = np.empty((NUMBERS, scans, len(seeds))), []
+    for pairs in index.search(queries, radii):
+        count = len(seeds[pairs.queries])
         inside = pairs.squares <= settings.radius**2
-        sums = sum_products(cell, pairs.columns, inside.astype(float), numbers, scans * count)
-        parts[:, pairs.queries] = sums.reshape(scans, count, NUMBERS)
-        margin = (reach[:, pairs.queries] + ROUNDING).ravel()[cell]
-        rim = np.flatnonzero(np.abs(np.sqrt(pairs.squares) - settings.radius) <= margin)
-        rims.append((pairs.queries[pairs.rows[rim]], pairs.columns[rim], inside[rim]))
-    total = parts.sum(axis=0)
+        inner = np.flatnonzero(inside)
+        columns = pairs.columns.take(inner)
+        # Where the point's scan and the query of a pair stand in tables (1 + S, count).
+        cell = owner.take(columns) * count + pairs.rows.take(inner)
+        sums = sum_products(cell, columns, points, scans * count)
+        parts[:, :, pairs.queries] = sums.reshape(NUMBERS, scans, count)
+        rim = _rim(pairs, owner, reach[:, pairs.queries], settings.radius)
+        rims.append((pairs.queries.start + pairs.rows[rim], pairs.columns[rim], inside[rim]))
+    total = parts.sum(axis=1)
     # Alone, a scan has the same planes at any pose.
-    shared = total[:, COUNT] > parts[scan, np.arange(len(seeds)), COUNT]
-    chosen = np.flatnonzero(shared & (total[:, COUNT] >= settings.min_neighbours))
-    found = smallest_eigen(covariances(total[chosen].T))
+    shared = total[COUNT] > parts[COUNT, scan, np.arange(len(seeds))]
+    chosen = np.flatnonzero(shared & (total[COUNT] >= settings.min_neighbours))
+    found = smallest_eigen(covariances(total.take(chosen, axis=1)))
     planar = np.flatnonzero(found.middle > settings.eigenvalue_ratio * found.values)
     if len(planar) == 0:
         return None
-    families = orthogonal_families(found.vectors[:, planar].T, settings.max_angle)
+    families = orthogonal_families(found.vectors.take(planar, axis=1).T, settings.max_angle)
     labels, counted, name = _count_families(families.labels, settings)
     kept = _thin_families(labels, counted, settings.max_points)
     chosen, labels = chosen[planar[kept]], labels[kept]
     return Judges(
         points=queries[:, chosen],
         scan=scan[chosen],
-        parts=parts[:, chosen].transpose(0, 2, 1).reshape(scans * NUMBERS, len(chosen)),
+        parts=parts.take(chosen, axis=2).reshape(NUMBERS * scans, len(chosen)),
         reach=reach[:, chosen],
         shell=_shell(rims, points, owner, queries, chosen),
         family=labels,
@@ -172,10 +174,8 @@ def direct_score(
     found = tree.query_ball_point(queries, settings.radius, return_sorted=False)
     rows = np.repeat(np.arange(len(found)), [len(near) for near in found])
     columns = np.concatenate([np.asarray(near, dtype=np.int64) for near in found])
-    numbers = sum_products(
-        rows, columns, np.ones(len(rows)), products(np.ascontiguousarray(points.T)), len(found)
-    )
-    variances = np.linalg.eigvalsh(full_matrices(covariances(numbers.T)))[:, 0]
+    numbers = sum_products(rows, columns, points.T, len(found))
+    variances = np.linalg.eigvalsh(full_matrices(covariances(numbers)))[:, 0]
     return float(np.maximum(variances, 0.0) @ judges.weights)
 
 
@@ -188,7 +188,7 @@ def _moved_scores(
     """Scores (C,) of candidates within reach."""
     count, scans = motions.shape[:2]
     # (10·C, 10·S): all candidates' numbers of the whole neighbourhood from those of its parts.
-    moving = transfers(motions).transpose(2, 0, 1, 3).reshape(NUMBERS * count, scans * NUMBERS)
+    moving = transfers(motions).transpose(2, 0, 3, 1).reshape(NUMBERS * count, scans * NUMBERS)
     numbers = (moving @ judges.parts).reshape(NUMBERS, count, -1)
     numbers += judges.shell.flips(motions, drift, settings.radius)
     found = smallest_eigen(covariances(numbers.reshape(NUMBERS, -1)))
@@ -196,21 +196,19 @@ def _moved_scores(
     return scores
 
 
-def _relative(poses: NDArray[np.float64], origin: NDArray[np.float64]) -> NDArray[np.float64]:
-    moved = np.array(poses, dtype=np.float64)
-    moved[..., :3, 3] -= origin
-    return moved
-
-
 def _place(
     scene: Scene, poses: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """All points (3, N) relative to the origin, and whose they are: 0 fixed, 1.. moving."""
-    clouds = [(scene.fixed - scene.origin).T]
-    for pose, cloud in zip(_relative(poses, scene.origin), scene.moving, strict=True):
-        clouds.append(pose[:3, :3] @ cloud.T + pose[:3, 3:])
-    sizes = [cloud.shape[1] for cloud in clouds]
-    return np.hstack(clouds), np.repeat(np.arange(len(sizes)), sizes)
+    sizes = [len(scene.fixed), *(len(cloud) for cloud in scene.moving)]
+    ends = np.cumsum(sizes)
+    points = np.empty((3, ends[-1]))
+    np.subtract(scene.fixed.T, scene.origin[:, None], out=points[:, : sizes[0]])
+    for pose, cloud, start, end in zip(poses, scene.moving, ends[:-1], ends[1:], strict=True):
+        own = points[:, start:end]
+        np.matmul(pose[:3, :3], cloud.T, out=own)
+        own += (pose[:3, 3] - scene.origin)[:, None]
+    return points, np.repeat(np.arange(len(sizes)), sizes)
 
 
 def _motions(scene: Scene, poses: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -218,15 +216,13 @@ def _motions(scene: Scene, poses: NDArray[np.float64]) -> NDArray[np.float64]:
 
     From where they stand at the reference, relative to the origin.
     """
-    reference = _relative(scene.poses[0], scene.origin)
-    back = np.swapaxes(reference[:, :3, :3], -1, -2)
-    moved = _relative(poses, scene.origin)
+    reference = scene.poses[0]
+    turns = poses[:, :, :3, :3] @ np.swapaxes(reference[:, :3, :3], -1, -2)
     motions = np.zeros((len(poses), len(reference) + 1, 4, 4))
-    motions[:, 0] = np.eye(4)
-    turns = moved[:, :, :3, :3] @ back
+    motions[:, :, [0, 1, 2, 3], [0, 1, 2, 3]] = 1.0
     motions[:, 1:, :3, :3] = turns
-    motions[:, 1:, :3, 3:] = moved[:, :, :3, 3:] - turns @ reference[:, :3, 3:]
-    motions[:, 1:, 3, 3] = 1.0
+    before, after = reference[:, :3, 3] - scene.origin, poses[:, :, :3, 3] - scene.origin
+    motions[:, 1:, :3, 3] = after - (turns @ before[:, :, None])[..., 0]
     return motions
 
 
@@ -242,8 +238,22 @@ def _reach(
     """
     found = squared_lengths(drifts(motions, queries, scan))
     near = found.max(axis=(1, 2)) <= limit**2
-    largest: NDArray[np.float64] = np.sqrt(found[near].max(axis=0, initial=0.0))
+    some = found if near.all() else found[near]
+    largest: NDArray[np.float64] = np.sqrt(some.max(axis=0, initial=0.0))
     return largest
+
+
+def _rim(
+    pairs: Pairs, owner: NDArray[np.int64], reach: NDArray[np.float64], radius: float
+) -> NDArray[np.int64]:
+    """Which pairs come or go where their distance changes by no more than ``reach`` (1 + S, Q)."""
+    # Most pairs are too near for any reach.
+    least = max(radius - float(reach.max()) - 2.0 * ROUNDING, 0.0)
+    some = np.flatnonzero(pairs.squares >= least**2)
+    cell = owner.take(pairs.columns.take(some)) * reach.shape[1] + pairs.rows.take(some)
+    apart = np.abs(np.sqrt(pairs.squares.take(some)) - radius)
+    rim: NDArray[np.int64] = some[apart <= reach.take(cell) + ROUNDING]
+    return rim
 
 
 def _shell(
@@ -272,9 +282,8 @@ def _shell(
 def _count_families(
     labels: NDArray[np.int64], settings: MomSettings
 ) -> tuple[NDArray[np.int64], tuple[int, ...], str]:
-    counted = tuple(
-        family for family in range(3) if int((labels == family).sum()) >= settings.min_family_points
-    )
+    sizes = np.bincount(labels[labels >= 0], minlength=3).tolist()
+    counted = tuple(family for family in range(3) if sizes[family] >= settings.min_family_points)
     if counted:
         return labels, counted, f'mom_{len(counted)}'
     return np.zeros(len(labels), dtype=np.int64), (0,), PLANE_VARIANCE

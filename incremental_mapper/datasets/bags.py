@@ -24,8 +24,8 @@ from incremental_mapper.datasets.source import SourceInfo
 from incremental_mapper.datasets.topics import Choice, Topic, choose_topics, find_truth_topic
 from incremental_mapper.datasets.truth import find_truth
 from incremental_mapper.errors import InputError, MeasurementError
-from incremental_mapper.measurements import Drops, Measurement
-from incremental_mapper.trajectory import NANOSECONDS, Trajectory
+from incremental_mapper.measurements import NANOSECONDS, Drops, Measurement
+from incremental_mapper.trajectory import Trajectory
 
 SETTINGS_FILE = 'incremental_mapper.yaml'
 STORAGE_SUFFIXES = ('.mcap', '.db3')

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from incremental_mapper.errors import MeasurementError
-from incremental_mapper.measurements import Points
-from incremental_mapper.trajectory import NANOSECONDS
+from incremental_mapper.measurements import NANOSECONDS, Points
 
 TIME_FIELDS = ('time', 't', 'timestamp', 'time_stamp', 'offset_time')
 

@@ -22,8 +22,15 @@ from incremental_mapper.datasets.selection import listed_lidars, offset_nanoseco
 from incremental_mapper.datasets.source import SourceInfo
 from incremental_mapper.datasets.truth import find_truth
 from incremental_mapper.errors import InputError, MeasurementError
-from incremental_mapper.measurements import Drops, Measurement, make_fix, make_imu, make_scan
-from incremental_mapper.trajectory import NANOSECONDS, Trajectory
+from incremental_mapper.measurements import (
+    NANOSECONDS,
+    Drops,
+    Measurement,
+    make_fix,
+    make_imu,
+    make_scan,
+)
+from incremental_mapper.trajectory import Trajectory
 
 
 class KaistSource:

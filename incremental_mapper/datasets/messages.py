@@ -12,6 +12,7 @@ import numpy as np
 from incremental_mapper.datasets.clouds import cloud_points, cloud_table, point_times
 from incremental_mapper.errors import MeasurementError
 from incremental_mapper.measurements import (
+    NANOSECONDS,
     GnssFix,
     ImuSample,
     LidarScan,
@@ -20,7 +21,6 @@ from incremental_mapper.measurements import (
     make_imu,
     make_scan,
 )
-from incremental_mapper.trajectory import NANOSECONDS
 
 STATUS_UNKNOWN = -2
 COVARIANCE_UNKNOWN = 0

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from incremental_mapper.config import Sensor
-from incremental_mapper.trajectory import NANOSECONDS
+from incremental_mapper.measurements import NANOSECONDS
 
 
 def listed_lidars(tree: Mapping[str, Any]) -> list[str] | None:

@@ -16,7 +16,7 @@ from incremental_mapper.candidates.clusters import Candidate
 from incremental_mapper.errors import InputError, OutputError
 from incremental_mapper.mapper.result import WindowResult
 from incremental_mapper.mapper.selection import Tried
-from incremental_mapper.trajectory import NANOSECONDS
+from incremental_mapper.measurements import NANOSECONDS
 
 if TYPE_CHECKING:
     import pyarrow

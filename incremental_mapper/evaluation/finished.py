@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from incremental_mapper.errors import ConfigError, InputError
 from incremental_mapper.evaluation.candidate_table import FILE_NAME, read_window
-from incremental_mapper.trajectory import NANOSECONDS, Trajectory, read_tum
+from incremental_mapper.measurements import NANOSECONDS
+from incremental_mapper.trajectory import Trajectory, read_tum
 
 Record: TypeAlias = Mapping[str, Any]
 

@@ -23,7 +23,7 @@ from incremental_mapper.evaluation.figure import (
     save,
     title,
 )
-from incremental_mapper.trajectory import NANOSECONDS
+from incremental_mapper.measurements import NANOSECONDS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -22,7 +22,8 @@ from incremental_mapper.evaluation.trajectory_error import (
     relative_pose_errors,
 )
 from incremental_mapper.geometry import transform_points
-from incremental_mapper.trajectory import NANOSECONDS, Trajectory
+from incremental_mapper.measurements import NANOSECONDS
+from incremental_mapper.trajectory import Trajectory
 
 Segments = tuple[Segment, ...]
 

@@ -22,7 +22,8 @@ from incremental_mapper.evaluation.figure import (
 )
 from incremental_mapper.evaluation.trajectory_error import fit_rigid, match_truth
 from incremental_mapper.geometry import transform_points
-from incremental_mapper.trajectory import NANOSECONDS, Trajectory
+from incremental_mapper.measurements import NANOSECONDS
+from incremental_mapper.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

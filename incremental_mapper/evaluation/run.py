@@ -19,9 +19,9 @@ from incremental_mapper.datasets.source import Source
 from incremental_mapper.errors import InputError
 from incremental_mapper.evaluation.trajectory_error import TrajectoryErrors, trajectory_errors
 from incremental_mapper.map.cloud import accumulate
+from incremental_mapper.mapper.effort import AHEAD
 from incremental_mapper.mapper.mapper import Mapper
 from incremental_mapper.mapper.result import MapResult, WindowResult
-from incremental_mapper.mapper.small_algebra import small_algebra
 from incremental_mapper.mapper.statistics import peak_rss_mb
 from incremental_mapper.measurements import Drops
 from incremental_mapper.trajectory import Trajectory
@@ -70,7 +70,6 @@ def settle_config(source: Source, tree: Mapping[str, Any], where: str) -> Config
     return make_config(merge(source.info.settings, tree), where)
 
 
-@small_algebra()
 def map_source(
     source: Source,
     config: Config,
@@ -96,7 +95,7 @@ def map_source(
     interrupted = False
     with closing(mapper):
         for measurement in source.measurements():
-            tell(mapper.push(measurement))
+            tell(mapper.advance(measurement, AHEAD))
             if progress is not None:
                 progress(1)
             if stop is not None and stop.wanted:

@@ -12,7 +12,8 @@ from itertools import groupby
 import numpy as np
 from numpy.typing import NDArray
 
-from incremental_mapper.trajectory import NANOSECONDS, Trajectory
+from incremental_mapper.measurements import NANOSECONDS
+from incremental_mapper.trajectory import Trajectory
 
 SMOOTHING = 1.0
 """Seconds over which speeds and accelerations are taken."""

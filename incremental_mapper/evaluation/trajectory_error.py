@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from incremental_mapper.trajectory import NANOSECONDS, Trajectory
+from incremental_mapper.measurements import NANOSECONDS
+from incremental_mapper.trajectory import Trajectory
 
 MIN_POSES = 2
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from incremental_mapper.measurements import LidarScan
+from incremental_mapper.voxels import voxel_means
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,41 +93,3 @@ def deskew(sweep: Sweep, twist: Twist, moment: float) -> NDArray[np.float64]:
     moved += times * twist.linear[:, None]
     deskewed: NDArray[np.float64] = moved.T
     return deskewed
-
-
-def thin(points: NDArray[np.float64], voxel_size: float) -> NDArray[np.float64]:
-    """One mean point per voxel, (M, 3), for points (N, 3)."""
-    return np.ascontiguousarray(voxel_means(points.T, voxel_size).T)
-
-
-def voxel_means(rows: NDArray[np.floating], voxel_size: float) -> NDArray[np.float64]:
-    """Means (C, M) over the columns of ``rows`` (C, N) that fall into the same voxel.
-
-    The first three rows are x, y, z; the others are averaged along.
-    """
-    count = rows.shape[1]
-    if count == 0:
-        return np.zeros(rows.shape)
-    cells = np.floor(rows[:3] * rows.dtype.type(1.0 / voxel_size))
-    cells -= cells.min(axis=1, keepdims=True)
-    sizes = cells.max(axis=1).astype(np.float64) + 1.0
-    bits = count.bit_length()
-    if sizes.prod() < 2.0 ** min(53, 63 - bits):
-        # A voxel's number and a column's index share an integer: sorting values is several
-        # times as fast as sorting indices. Doubles number the voxels exactly up to 2^53.
-        numbers = (cells[0] * sizes[1] + cells[1]) * sizes[2] + cells[2]
-        keys = numbers.astype(np.int64) << bits
-        keys |= np.arange(count)
-        keys.sort()
-        order = keys & ((1 << bits) - 1)
-        keys >>= bits
-        new = keys[1:] != keys[:-1]
-    else:
-        order = np.lexsort(cells[::-1])
-        cells = cells[:, order]
-        new = (cells[:, 1:] != cells[:, :-1]).any(axis=0)
-    voxels = np.zeros(count, dtype=np.int64)
-    np.cumsum(new, out=voxels[1:])
-    sums = np.stack([np.bincount(voxels, weights=row[order]) for row in rows])
-    means: NDArray[np.float64] = sums / np.bincount(voxels)
-    return means

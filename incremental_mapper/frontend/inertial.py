@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from incremental_mapper.config import ImuSettings
-from incremental_mapper.measurements import ImuSample
-from incremental_mapper.trajectory import NANOSECONDS
+from incremental_mapper.measurements import NANOSECONDS, ImuSample
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,19 +7,19 @@ from typing import Protocol
 import gtsam
 import numpy as np
 import small_gicp
-from kiss_icp.config import load_config
-from kiss_icp.kiss_icp import KissICP
 from numpy.typing import NDArray
 
 from incremental_mapper.config import OdometryMethod, OdometrySettings
-from incremental_mapper.frontend.clouds import thin
 from incremental_mapper.geometry import transform_points
+from incremental_mapper.voxels import thin
 
 NEIGHBOURS = 10
 """Points of which gicp takes the covariance; 8 or 14 give worse motions on two tilted VLP-16."""
-ROTATION_STEP, TRANSLATION_STEP = 0.005, 0.01
-"""Gicp stops once a step is smaller, in rad and m. Steps shrink several times from one to the
-next, so what is left is far below the noise of a match; finer bounds only cost iterations."""
+ROTATION_STEP, TRANSLATION_STEP = 0.01, 0.03
+"""Gicp stops after a step that is smaller, in rad and m. Steps shrink several times from one to
+the next, so what is left is far below the noise of a match. Where the motion is steady, the first
+step is the last; bounds a third as large take half as many steps again and
+match no better."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,6 +50,10 @@ class KissMatcher:
     """
 
     def __init__(self, settings: OdometrySettings) -> None:
+        # Imported where it is used: a process for each LiDAR starts the sooner without it.
+        from kiss_icp.config import load_config
+        from kiss_icp.kiss_icp import KissICP
+
         config = load_config(None)
         config.data.deskew = False  # done before, where the cloud has usable point times
         config.data.min_range = 0.0  # gated before, in the LiDAR's frame
@@ -83,7 +87,7 @@ class GicpMatcher:
     def match(self, points: NDArray[np.float64], guess: gtsam.Pose3) -> Match | None:
         """See ScanMatcher."""
         settings = self._settings
-        cloud, tree = self._with_covariances(points)
+        cloud, tree = self._with_covariances(self._near(points))
         match: Match | None = None
         if self._recent:
             target, target_tree = self._target()
@@ -110,6 +114,14 @@ class GicpMatcher:
         if settings.local_map_scans > 1:
             self._window.append(cloud.points()[:, :3])
         return match
+
+    def _near(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The points (N, 3) that are near enough; all of them where those are too few."""
+        settings = self._settings
+        near = np.flatnonzero(points[:, 0] ** 2 + points[:, 1] ** 2 < settings.match_range**2)
+        if len(near) < settings.min_points:
+            return points
+        return points.T.take(near, axis=1).T  # along the rows, as clouds are kept
 
     def _target(self) -> tuple[small_gicp.PointCloud, small_gicp.KdTree]:
         if self._settings.local_map_scans == 1:

@@ -28,7 +28,7 @@ from incremental_mapper.mapper.state import (
     PlacedFix,
     PlacedScan,
 )
-from incremental_mapper.trajectory import NANOSECONDS
+from incremental_mapper.measurements import NANOSECONDS
 
 KNOWN_VELOCITY = 0.5
 """m/s; a velocity with a smaller standard deviation may be used to predict motion."""

@@ -25,7 +25,7 @@ from incremental_mapper.graph.factors import (
 from incremental_mapper.graph.solver import copy_value, make_graph, optimize
 from incremental_mapper.mapper.front_end import Prepared, PreparedFix
 from incremental_mapper.mapper.state import GraphState
-from incremental_mapper.trajectory import NANOSECONDS
+from incremental_mapper.measurements import NANOSECONDS
 
 MOST_FIXES = 40
 """Newest fixes that are looked at for a track; a car may stand for long before it moves."""

@@ -14,7 +14,7 @@ from incremental_mapper.mapper.georeference import fix_spread
 from incremental_mapper.mapper.local_graph import WindowInputs
 from incremental_mapper.mapper.prediction import State, predict
 from incremental_mapper.mapper.state import GraphState
-from incremental_mapper.trajectory import NANOSECONDS
+from incremental_mapper.measurements import NANOSECONDS
 
 
 def window_inputs(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from incremental_mapper.config import OdometrySettings
 from incremental_mapper.frontend.clouds import STANDING, Sweep, Twist, deskew
 from incremental_mapper.frontend.odometry import make_matcher
-from incremental_mapper.trajectory import NANOSECONDS
+from incremental_mapper.measurements import NANOSECONDS
 
 MAX_SURPRISE = 1.5
 """Metres between two scans that a match may differ from steady motion: no car brakes like that."""

@@ -39,7 +39,7 @@ from incremental_mapper.mapper.front_end import Prepared, PreparedFix
 from incremental_mapper.mapper.prediction import State, propagate
 from incremental_mapper.mapper.scan_preparer import PreparedScan
 from incremental_mapper.mapper.state import Frontier, chain_start
-from incremental_mapper.trajectory import NANOSECONDS
+from incremental_mapper.measurements import NANOSECONDS
 
 UNSEEN_ACCELERATION = 2.0
 """m/s^2 by which a car's acceleration may differ from what the nearest IMU sample says."""

@@ -31,15 +31,13 @@ from incremental_mapper.mapper.local_graph import WindowFactors, WindowInputs
 from incremental_mapper.mapper.result import MapResult, NewestState, WindowResult
 from incremental_mapper.mapper.scenes import SceneBuilder
 from incremental_mapper.mapper.selection import Choice, choose
+from incremental_mapper.mapper.small_algebra import small_algebra
 from incremental_mapper.mapper.state import BaseCount, GraphState
 from incremental_mapper.mapper.statistics import Totals, run_stats, window_row
 from incremental_mapper.mapper.task import Task
-from incremental_mapper.measurements import ImuSample, Measurement
-from incremental_mapper.trajectory import NANOSECONDS, from_matrices
+from incremental_mapper.measurements import NANOSECONDS, ImuSample, Measurement
+from incremental_mapper.trajectory import from_matrices
 from incremental_mapper.windows.buffer import Window, WindowBuffer, joined
-
-MOST_AHEAD = 5
-"""Windows whose scans may be prepared in other processes while an older one is waited for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,6 +116,7 @@ class Mapper:
         self.flush()
         return self.result()
 
+    @small_algebra()
     def result(self) -> MapResult:
         """The map of all windows so far; the mapper can go on afterwards.
 
@@ -193,7 +192,7 @@ class Mapper:
         if len(self._held) < count:
             return False
         ready = all(preparation.done for _, preparation in self._held[:count])
-        return ready or len(self._held) > count + MOST_AHEAD
+        return ready or len(self._held) > count + self._effort.ahead
 
     def _next_window(self, count: int) -> tuple[Window, list[Preparation]]:
         """The oldest ``count`` windows that wait, as one."""
@@ -217,6 +216,7 @@ class Mapper:
         if self._orientation is None and sample.orientation is not None:
             self._orientation = sample.orientation
 
+    @small_algebra()
     def _window(
         self,
         prepared: Sequence[Prepared],

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from incremental_mapper.frontend.inertial import ImuSeries, integrate
 from incremental_mapper.mapper.front_end import Prepared
 from incremental_mapper.mapper.scan_preparer import PreparedScan
-from incremental_mapper.trajectory import NANOSECONDS
+from incremental_mapper.measurements import NANOSECONDS
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,23 +10,24 @@ from numpy.typing import NDArray
 from incremental_mapper.candidates.clusters import CoreKind, CoreMeasurement
 from incremental_mapper.config import Config
 from incremental_mapper.errors import MeasurementError
-from incremental_mapper.frontend.clouds import thin, to_base
+from incremental_mapper.frontend.clouds import to_base
 from incremental_mapper.mapper.lidar_chain import LidarChain
 from incremental_mapper.measurements import LidarScan
+from incremental_mapper.voxels import thin
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PreparedScan:
     """A scan with its odometry.
 
-    ``thinned`` (N, 3) are its points in base_link for the map, ``sparse`` (M, 3) those for
-    scoring, metres.
+    ``thinned`` (N, 3) are its points in base_link for the map, in the map's single precision,
+    ``sparse`` (M, 3) those for scoring, metres.
     ``T_previous_current`` links it to the scan of the same LiDAR at ``previous``; both are None
     where there is no odometry. ``usable`` says that the next scan may link to this one.
     """
 
     core: CoreMeasurement
-    thinned: NDArray[np.float64]
+    thinned: NDArray[np.float32]
     sparse: NDArray[np.float64]
     previous: int | None
     T_previous_current: gtsam.Pose3 | None
@@ -75,7 +76,7 @@ class ScanPreparer:
         thinned = thin(link.points, self._map_voxel) if coarser else link.points
         return PreparedScan(
             core=CoreMeasurement(scan.stamp, scan.sensor, CoreKind.LIDAR),
-            thinned=thinned,
+            thinned=thinned.astype(np.float32, order='C'),
             sparse=thin(thinned, self._sparse_voxel),
             previous=link.previous,
             T_previous_current=link.T_previous_current,

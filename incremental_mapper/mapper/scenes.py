@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 
 from incremental_mapper.candidates.clusters import Candidate
 from incremental_mapper.criteria.mom import Scene
-from incremental_mapper.frontend.clouds import thin
 from incremental_mapper.geometry import transform_points
 from incremental_mapper.graph.factors import pose_key
 from incremental_mapper.mapper.front_end import Prepared
 from incremental_mapper.mapper.local_graph import WindowFactors, WindowInputs
 from incremental_mapper.mapper.scan_preparer import PreparedScan
 from incremental_mapper.mapper.state import GraphState, PlacedScan
+from incremental_mapper.voxels import thin
 
 
 class SceneBuilder:

@@ -2,8 +2,9 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 
 @contextmanager
@@ -13,5 +14,11 @@ def small_algebra() -> Iterator[None]:
     A window's matrices have a few dozen rows. Waking other threads for them takes longer than the
     work, and takes the cores away from the LiDARs' processes.
     """
-    with threadpool_limits(limits=1, user_api='blas'):
+    with _controller().limit(limits=1, user_api='blas'):
         yield
+
+
+@cache
+def _controller() -> ThreadpoolController:
+    # Looking for the libraries takes a millisecond, using what was found almost nothing.
+    return ThreadpoolController()

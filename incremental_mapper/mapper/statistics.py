@@ -11,8 +11,7 @@ from incremental_mapper.config import Config, to_tree
 from incremental_mapper.graph.factors import FactorKind
 from incremental_mapper.mapper.selection import Choice, Verification
 from incremental_mapper.mapper.state import BaseCount, GraphState
-from incremental_mapper.measurements import Drops
-from incremental_mapper.trajectory import NANOSECONDS
+from incremental_mapper.measurements import NANOSECONDS, Drops
 
 STAGES = ('front_end', 'candidates', 'solve', 'score', 'append')
 

@@ -20,8 +20,7 @@ from incremental_mapper.datasets.messages import (
 )
 from incremental_mapper.datasets.selection import offset_nanoseconds
 from incremental_mapper.errors import MeasurementError
-from incremental_mapper.measurements import Drops, Measurement
-from incremental_mapper.trajectory import NANOSECONDS
+from incremental_mapper.measurements import NANOSECONDS, Drops, Measurement
 
 IMU, GNSS = 'imu', 'gnss'
 

@@ -4,8 +4,7 @@ from collections import Counter
 from dataclasses import dataclass
 
 from incremental_mapper.config import TimeJumpPolicy, TimeJumpSettings
-from incremental_mapper.measurements import Drops, Measurement
-from incremental_mapper.trajectory import NANOSECONDS
+from incremental_mapper.measurements import NANOSECONDS, Drops, Measurement
 
 WITNESSES = 5
 """So many measurements in a row behind the jump prove it; fewer are stray stamps."""

@@ -16,7 +16,7 @@ from incremental_mapper.geometry import transform_points
 from incremental_mapper.graph.factors import Factor, FactorKind, pose_numbers
 from incremental_mapper.mapper.mapper import Mapper
 from incremental_mapper.mapper.state import GraphState, PlacedScan
-from incremental_mapper.trajectory import NANOSECONDS
+from incremental_mapper.measurements import NANOSECONDS
 
 _BITS = 21
 """Bits of a voxel's key for each axis."""

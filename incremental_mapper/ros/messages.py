@@ -17,8 +17,8 @@ from std_msgs.msg import Header
 
 from incremental_mapper.graph.factors import pose_numbers
 from incremental_mapper.mapper.result import NewestState
+from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.ros.live_map import PathView
-from incremental_mapper.trajectory import NANOSECONDS
 
 POINT_STEP = 12
 UNKNOWN_VARIANCE = 1e6

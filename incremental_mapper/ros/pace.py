@@ -4,7 +4,7 @@ import math
 import time
 from collections.abc import Callable
 
-from incremental_mapper.trajectory import NANOSECONDS
+from incremental_mapper.measurements import NANOSECONDS
 
 
 class Pace:

@@ -19,10 +19,10 @@ from rosgraph_msgs.msg import Clock
 
 from incremental_mapper.datasets.topics import describe_topics
 from incremental_mapper.errors import InputError
+from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.ros.pace import Pace
 from incremental_mapper.ros.read_ahead import read_ahead
 from incremental_mapper.ros.recording import RecordedTopic, Recording
-from incremental_mapper.trajectory import NANOSECONDS
 
 NODE_NAME = 'incremental_mapper_player'
 CLOCK_TOPIC = '/clock'

@@ -19,7 +19,6 @@ from incremental_mapper.errors import MapperError
 from incremental_mapper.mapper.effort import FULL, Effort
 from incremental_mapper.mapper.mapper import Mapper
 from incremental_mapper.mapper.result import NewestState, WindowResult
-from incremental_mapper.mapper.small_algebra import small_algebra
 from incremental_mapper.mapper.state import PlacedScan
 from incremental_mapper.mapper.statistics import peak_rss_mb
 from incremental_mapper.measurements import Drops, Measurement
@@ -134,7 +133,6 @@ class Worker:
         self._scans = 0
         self.limited_windows = self.scan_bytes = self.cloud_bytes = 0
 
-    @small_algebra()
     def _run(self) -> None:
         try:
             self._serve()

@@ -12,8 +12,14 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 from incremental_mapper.config import WindowSettings
-from incremental_mapper.measurements import Drops, GnssFix, ImuSample, LidarScan, Measurement
-from incremental_mapper.trajectory import NANOSECONDS
+from incremental_mapper.measurements import (
+    NANOSECONDS,
+    Drops,
+    GnssFix,
+    ImuSample,
+    LidarScan,
+    Measurement,
+)
 
 CoreInput: TypeAlias = LidarScan | GnssFix
 

@@ -30,7 +30,7 @@ from incremental_mapper.datasets.simulated.stamps import (
     truth_stamps,
 )
 from incremental_mapper.errors import OutputError
-from incremental_mapper.trajectory import NANOSECONDS
+from incremental_mapper.measurements import NANOSECONDS
 
 Array = NDArray[np.float64]
 Progress = Callable[[int], object]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from incremental_mapper.datasets.simulated.options import MAX_DURATION, SimulationOptions
 from incremental_mapper.errors import InputError
-from incremental_mapper.trajectory import NANOSECONDS
+from incremental_mapper.measurements import NANOSECONDS
 
 Stamps = NDArray[np.int64]
 

@@ -11,7 +11,7 @@ from incremental_mapper.evaluation.pictures import map_figure, side_figure, traj
 from incremental_mapper.evaluation.report.charts import progress_figure
 from incremental_mapper.evaluation.report.contents import Sequence
 from incremental_mapper.evaluation.table import BASE
-from incremental_mapper.trajectory import NANOSECONDS
+from incremental_mapper.measurements import NANOSECONDS
 
 GRAPH_SECONDS = 0.8
 """Length of the stretch of graph that fits half of the page's width."""
