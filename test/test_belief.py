@@ -42,6 +42,10 @@ def odometry(first, second, motion):
     ).factor
 
 
+def poses(*clusters):
+    return {pose_key(cluster) for cluster in clusters}
+
+
 def drive(count, seed=0):
     """Factors and initial values of each cluster of a chain, one cluster every 0.2 s."""
     rng = np.random.default_rng(seed)
@@ -70,7 +74,7 @@ def stepped(count, lag, keep=(), seed=0):
         belief, cost = extend(belief, factors, initial, {i: i * SECOND // 5}, 20)
         assert cost >= 0.0
         assert belief.healthy
-        belief, gone = shrink(belief, {i, *keep}, i * SECOND // 5 - lag)
+        belief, gone = shrink(belief, poses(i, *keep), i * SECOND // 5 - lag)
         for key in gone.keys():  # noqa: SIM118 (no mapping)
             assert key not in left
             left[key] = gone.atPose3(key)
@@ -131,7 +135,7 @@ def test_what_a_solve_that_was_cut_short_leaves_is_caught_up_later():
         # A single step from a bad place does not get there.
         belief, _ = extend(belief, factors, off, {i: i}, 20 if last else 1)
         assert last or np.abs(belief.root.T @ belief.rhs).max() > 0.0
-        belief, _ = shrink(belief, {i}, 0)
+        belief, _ = shrink(belief, poses(i), 0)
     batch = optimize(make_graph(everything), start, 100).values
     assert difference(batch, belief.values, pose_key(24)) < 3e-3
     for i in (20, 22):
@@ -151,7 +155,7 @@ def test_belief_of_a_whole_graph_is_the_one_that_grew_with_it():
     grown, left, factors, start = stepped(20, SECOND)
     clusters = {i: i * SECOND // 5 for i in range(20)}
     batch = optimize(make_graph(factors), start, 100).values
-    whole, gone = belief_of(factors, batch, clusters, {19}, 19 * SECOND // 5 - SECOND)
+    whole, gone = belief_of(factors, batch, clusters, poses(19), 19 * SECOND // 5 - SECOND)
     assert set(gone.keys()) == set(left)
     assert whole.keys == grown.keys
     assert set(whole.followers) == set(grown.followers)
@@ -249,9 +253,9 @@ def test_undetermined_variable_stays_where_it_is_and_disturbs_nobody():
     grown, _ = extend(belief, factors, initial, {5: SECOND}, 10)
     assert grown.healthy
     assert grown.values.atVector(velocity_key(5)) == pytest.approx([1.0, 2.0, 3.0])
-    smaller, _ = shrink(grown, {5}, 0)
+    smaller, _ = shrink(grown, {pose_key(5), velocity_key(5)}, 0)
     alone, _ = extend(belief, factors, without_velocity(initial), {5: SECOND}, 10)
-    alone, _ = shrink(alone, {5}, 0)
+    alone, _ = shrink(alone, poses(5), 0)
     assert smaller.covariance(pose_key(5)) == pytest.approx(alone.covariance(pose_key(5)), rel=1e-6)
     assert np.diag(smaller.covariance(velocity_key(5))) == pytest.approx([1e6] * 3, rel=1e-3)
 
@@ -275,12 +279,28 @@ def test_belief_with_velocities_and_biases_has_the_graph_s_marginals():
         values.insert(bias_key(i), bias)
         factors += [*own, *(prior.factor for prior in priors)]
     values = optimize(make_graph(factors), values, 100).values
-    belief, _ = belief_of(factors, values, {i: i for i in range(6)}, {5}, 0)
+    keep = {pose_key(5), velocity_key(5), bias_key(5)}
+    belief, _ = belief_of(factors, values, {i: i for i in range(6)}, keep, 0)
     assert set(belief.keys) == {pose_key(5), velocity_key(5), bias_key(5)}
     whole = gtsam.Marginals(make_graph(factors), values)
     for key in belief.keys:
         expected = whole.marginalCovariance(key)
         assert np.abs(belief.covariance(key) - expected).max() <= 1e-5 * np.abs(expected).max()
+
+
+def test_a_cluster_may_stay_in_part():
+    bias = gtsam.imuBias.ConstantBias()
+    (_, factors, initial), *_ = drive(1)
+    initial.insert(velocity_key(0), np.zeros(3))
+    initial.insert(bias_key(0), bias)
+    priors = [velocity_prior(velocity_key(0), np.zeros(3), 0.5, 0)]
+    priors.append(bias_prior(bias_key(0), bias, GraphSettings(), 0))
+    grown, _ = extend(Belief(), [*factors, *(prior.factor for prior in priors)], initial, {0: 0}, 5)
+    smaller, gone = shrink(grown, poses(0), SECOND)
+    # Old as it is, the cluster's other variables stay with its pose.
+    assert smaller.keys == (pose_key(0),)
+    assert set(smaller.followers) == {velocity_key(0), bias_key(0)}
+    assert gone.size() == 0 and smaller.clusters == {0: 0}
 
 
 def test_empty_belief_has_nothing_to_shrink():

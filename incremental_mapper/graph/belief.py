@@ -14,7 +14,7 @@ import gtsam
 import numpy as np
 from scipy.linalg.lapack import dgeqrf, dtrtrs
 
-from incremental_mapper.graph.factors import bias_key, cluster_of, pose_key, velocity_key
+from incremental_mapper.graph.factors import cluster_of
 from incremental_mapper.graph.linear import Array, Cholesky, Layout, solve_scaled
 from incremental_mapper.graph.solver import LOOSE, copy_value, eliminate, make_graph
 
@@ -128,6 +128,11 @@ class Problem:
         followed = self._belief.slopes @ system.total[: self._belief.root.shape[1]]
         values.insert(self._followed.retract(self._followers.vector_values(followed)))
         return Solved(values=values, error=error, cost=cost, system=system)
+
+    def learn(self, solved: Solved) -> None:
+        """Begin later solves where this one put its new variables: most sets agree on those."""
+        new = solved.system.layout.keys[len(self._belief.keys) :]
+        self.values.update(solved.values.extract(new))
 
 
 class _System:
@@ -298,15 +303,15 @@ def _larger(
 
 
 def shrink(belief: Belief, keep: Collection[int], oldest: int) -> tuple[Belief, gtsam.Values]:
-    """Leave only the clusters ``keep`` in the frontier; the others become followers.
+    """Leave only the variables ``keep`` in the frontier; the others become followers.
 
-    Followers of clusters older than the stamp ``oldest`` (ns) are let go: their final values come
-    back beside the smaller belief.
+    Followers of clusters older than the stamp ``oldest`` (ns), of which nothing is kept, are let
+    go: their final values come back beside the smaller belief.
     """
     layout = Layout(belief.keys)
-    wanted = set(keep)
-    kept = tuple(key for key in layout.keys if cluster_of(key) in wanted)
-    dropped = tuple(key for key in layout.keys if cluster_of(key) not in wanted)
+    kept = tuple(key for key in layout.keys if key in keep)
+    dropped = tuple(key for key in layout.keys if key not in keep)
+    wanted = {cluster_of(key) for key in kept}
     first, last = layout.columns(dropped), layout.columns(kept)
     reduced, rest = _triangle(belief.root[:, np.concatenate([first, last])], belief.rhs)
     count = len(first)
@@ -364,10 +369,12 @@ def belief_of(
 ) -> tuple[Belief, gtsam.Values]:
     """The belief of a whole graph at its optimum ``values``, and what lies before the lag.
 
-    Costs a sparse elimination of the graph; ``extend`` and ``shrink`` do it step by step.
+    ``keep`` are the variables of its frontier. Costs a sparse elimination of the graph; ``extend``
+    and ``shrink`` do it step by step.
     """
-    newer = {c for c, stamp in clusters.items() if stamp >= oldest or c in set(keep)}
-    kept = [key for cluster in sorted(keep) for key in cluster_keys(cluster, values)]
+    kept = sorted(set(keep) & set(values.keys()), key=lambda key: (cluster_of(key), key))
+    wanted = {cluster_of(key) for key in kept}
+    newer = {c for c, stamp in clusters.items() if stamp >= oldest or c in wanted}
     dropped = sorted(set(values.keys()) - set(kept), key=cluster_of)
     split = eliminate(make_graph(factors), values, dropped)
     layout = Layout(kept)
@@ -395,12 +402,6 @@ def belief_of(
         clusters={c: s for c, s in clusters.items() if c in newer},
     )
     return belief, values.extract(gone)
-
-
-def cluster_keys(cluster: int, values: gtsam.Values) -> list[int]:
-    """The keys of a cluster's variables that exist in ``values``."""
-    keys = (pose_key(cluster), velocity_key(cluster), bias_key(cluster))
-    return [key for key in keys if values.exists(key)]
 
 
 def _triangle(matrix: Array, rhs: Array) -> tuple[Array, Array]:

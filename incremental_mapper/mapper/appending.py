@@ -97,7 +97,7 @@ def append_candidate(
     elif len(inputs.states) > 0:
         state.last_velocity = inputs.states[max(inputs.states)].velocity
     oldest = state.frontier.newest_stamp - round(config.graph.lag * NANOSECONDS)
-    state.belief, gone = shrink(state.belief, state.frontier.clusters(), oldest)
+    state.belief, gone = shrink(state.belief, state.frontier.keys(), oldest)
     state.keep(gone)
     return Appended(tuple(placed), error)
 

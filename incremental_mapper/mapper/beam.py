@@ -26,7 +26,7 @@ from incremental_mapper.criteria.criterion import (
     score_all,
 )
 from incremental_mapper.graph.belief import Belief, extend, shrink
-from incremental_mapper.graph.factors import pose_key
+from incremental_mapper.graph.factors import bias_key, pose_key, velocity_key
 from incremental_mapper.graph.solver import copy_value
 from incremental_mapper.mapper.task import Task
 
@@ -201,23 +201,27 @@ class _Search:
         )
 
     def _needed(self, candidate: Candidate, node: int | None) -> set[int]:
-        """Clusters that later factors may touch."""
+        """Variables that later factors may touch."""
         factors = self._task.factors
         homes = factors.home(candidate)
         newest: dict[str, int] = {}
         for sensor, stamp in homes:
             newest[sensor] = max(stamp, newest.get(sensor, stamp))
-        needed = {homes[sensor, stamp] for sensor, stamp in newest.items()}
-        if node == HEAD:
-            assert self._task.head_cluster is not None
-            needed.add(self._task.head_cluster)
-        elif node is not None:
-            needed.add(factors.local_id(candidate.clusters[node]))
+        needed = {pose_key(homes[sensor, stamp]) for sensor, stamp in newest.items()}
         # A chain that starts anew goes on from the last velocity and bias.
+        inertial = set[int]()
         if candidate.connections:
-            needed.add(factors.local_id(candidate.clusters[candidate.connections[-1].end]))
+            last = candidate.clusters[candidate.connections[-1].end]
+            inertial.add(factors.local_id(last))
         elif self._task.inertial_cluster is not None:
-            needed.add(self._task.inertial_cluster)
+            inertial.add(self._task.inertial_cluster)
+        if node is not None:
+            own = self._task.head_cluster if node == HEAD else None
+            own = factors.local_id(candidate.clusters[node]) if own is None else own
+            needed.add(pose_key(own))
+            inertial.add(own)
+        for cluster in inertial:
+            needed |= {velocity_key(cluster), bias_key(cluster)}
         return needed
 
     def _cluster(self, first: int, last: int) -> Cluster | None:

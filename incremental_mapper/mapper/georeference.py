@@ -107,7 +107,7 @@ def georeference(state: GraphState, config: Config) -> bool:
         plain,
         values,
         clusters,
-        state.frontier.clusters(),
+        state.frontier.keys(),
         newest - round(config.graph.lag * NANOSECONDS),
     )
     state.factors = factors

@@ -292,6 +292,7 @@ def _propose(
         solved = problem.solve(factors)
         if solved is None:
             continue
+        problem.learn(solved)
         poses = task.scenes.poses(candidate, solved.values) if plan.scene else None
         clock.lap('solve')
         yield Proposal(candidate, solved.error, poses), solved

@@ -43,11 +43,15 @@ class Frontier:
     newest: int | None = None
     newest_stamp: int = 0
 
-    def clusters(self) -> set[int]:
-        """Every cluster that may still be touched."""
+    def keys(self) -> set[int]:
+        """Every variable that may still be touched; some may not exist."""
         ids = {id_ for id_, _ in self.chains.values()}
-        single = (self.head, self.inertial, self.newest)
-        return ids | {id_ for id_ in single if id_ is not None}
+        ids |= {id_ for id_ in (self.head, self.newest) if id_ is not None}
+        keys = {pose_key(id_) for id_ in ids}
+        for id_ in (self.head, self.inertial):
+            if id_ is not None:
+                keys |= {velocity_key(id_), bias_key(id_)}
+        return keys
 
 
 @dataclass(frozen=True, slots=True, eq=False)
