@@ -101,11 +101,10 @@ class Problem:
         system, error = _System(self._belief, layout, graph, values), 2.0 * graph.error(values)
         cost = error + system.prior_error
         for _ in range(self._max_iterations):
-            step = system.step()
-            if step is None:
+            best = system.best()
+            if best is None:
                 return None
-            expected = system.moved(step)
-            better = False
+            (step, expected), better = best, False
             for _ in range(HALVINGS):
                 moved = values.retract(layout.vector_values(step))
                 reached = 2.0 * graph.error(moved)
@@ -182,8 +181,8 @@ class _System:
         """Both together."""
         return float(self.rhs @ self.rhs)
 
-    def step(self) -> Array | None:
-        """The best step from here, or None where it would not be finite.
+    def best(self) -> tuple[Array, '_System'] | None:
+        """The best step from here and the system there, None where it would not be finite.
 
         Normal equations square the condition of ``root``, which short IMU spans make large; what
         that costs is made good by solving once more for what the first solution leaves.
@@ -193,17 +192,22 @@ class _System:
         except ValueError:
             return None
         self._factor = factor
-        first = factor.solve(self.root.T @ self.rhs)
-        if first is None:
+        step = factor.solve(self.root.T @ self.rhs)
+        if step is None:
             return None
-        second = factor.solve(self.root.T @ (self.rhs - self.root @ first))
-        return first if second is None else first + second
+        rest = self.rhs - self.root @ step
+        more = factor.solve(self.root.T @ rest)
+        if more is not None:
+            step, rest = step + more, rest - self.root @ more
+        return step, self._there(step, rest)
 
     def moved(self, step: Array) -> '_System':
         """The same system seen from a place that is ``step`` (n,) away."""
+        return self._there(step, self.rhs - self.root @ step)
+
+    def _there(self, step: Array, rhs: Array) -> '_System':
         other = self._copy()
-        other.rhs = self.rhs - self.root @ step
-        other.total = self.total + step
+        other.rhs, other.total = rhs, self.total + step
         return other
 
     def relinearized(self, values: gtsam.Values) -> '_System':

@@ -6,7 +6,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from incremental_mapper.candidates.clusters import Candidate
+from incremental_mapper.candidates.clusters import Candidate, Cluster
 from incremental_mapper.criteria.mom import Scene
 from incremental_mapper.geometry import transform_points
 from incremental_mapper.graph.factors import pose_key
@@ -38,6 +38,9 @@ class SceneBuilder:
         self._factors = factors
         self._new = [item for item in items if isinstance(item, PreparedScan)]
         self._touched = [scan for scan in last if state.in_lag(scan[0].cluster)]
+        self._touched_keys = [pose_key(scan.cluster) for scan, _ in self._touched]
+        self._touched_offsets = [scan.T_cluster_scan.matrix() for scan, _ in self._touched]
+        self._offsets: dict[tuple[int, int], NDArray[np.float64]] = {}
         self._settled = [scan for scan in last if not state.in_lag(scan[0].cluster)]
 
     def scene(self, poses: Sequence[NDArray[np.float64]]) -> Scene:
@@ -66,17 +69,26 @@ class SceneBuilder:
         ``values`` are the solved variables, with the lag's others that move along.
         """
         owner = {core: cluster for cluster in candidate.clusters for core in cluster.members}
-        poses = []
+        poses, offsets = [], []
         for item in self._new:
             cluster = owner[item.core]
-            pose = values.atPose3(pose_key(self._factors.local_id(cluster)))
-            offset = self._factors.offset(cluster, item.core.stamp)
-            poses.append(pose.compose(offset).matrix())
-        for scan, _ in self._touched:
-            key = pose_key(scan.cluster)
+            poses.append(values.atPose3(pose_key(self._factors.local_id(cluster))).matrix())
+            offsets.append(self._offset(cluster, item.core.stamp))
+        for (scan, _), key in zip(self._touched, self._touched_keys, strict=True):
             pose = values.atPose3(key) if values.exists(key) else self._state.pose(scan.cluster)
-            poses.append(pose.compose(scan.T_cluster_scan).matrix())
-        return np.array(poses).reshape(-1, 4, 4)
+            poses.append(pose.matrix())
+        placed = np.array(poses).reshape(-1, 4, 4)
+        moved: NDArray[np.float64] = placed @ np.array([*offsets, *self._touched_offsets]).reshape(
+            -1, 4, 4
+        )
+        return moved
+
+    def _offset(self, cluster: Cluster, stamp: int) -> NDArray[np.float64]:
+        """T_cluster_scan as a matrix (4, 4)."""
+        key = (cluster.stamp, stamp)
+        if key not in self._offsets:
+            self._offsets[key] = self._factors.offset(cluster, stamp).matrix()
+        return self._offsets[key]
 
     def _pose(self, scan: PlacedScan) -> gtsam.Pose3:
         return self._state.pose(scan.cluster).compose(scan.T_cluster_scan)
