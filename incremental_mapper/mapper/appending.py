@@ -59,8 +59,8 @@ def append_candidate(
     """Give the winner its final numbers, append it to ``state``, and solve it if it is not solved.
 
     ``extra`` are weak priors or bridges beside the candidate's own factors, which are not in
-    ``solved``; ``consecutive`` makes the next
-    window connect from the newest cluster whatever it has.
+    ``solved``; ``consecutive`` makes the next window connect from the newest cluster whatever it
+    has.
     """
     config = inputs.config
     placed: list[PlacedCluster] = []
@@ -74,14 +74,14 @@ def append_candidate(
     made = [_renamed(factor, final) for factor in [*factors.factors(candidate), *extra]]
     stamps = {item.id: item.cluster.stamp for item in placed}
     if solved is not None and not extra:
-        state.belief = adopt(state.belief, solved, final, stamps)
+        state.belief, error = adopt(state.belief, solved, final, stamps), solved.error
     else:
         values, initial = gtsam.Values(), factors.initial(candidate)
         for key in initial.keys():  # noqa: SIM118 (no mapping)
             copy_value(initial, key, values, final.get(key, key))
         plain = [factor.factor for factor in made]
         state.belief, _ = extend(state.belief, plain, values, stamps, config.graph.max_iterations)
-    error = squared_error((factor.factor for factor in made), state.belief.values)
+        error = squared_error(plain, state.belief.values)
     _remember_measurements(state, placed, factors, inputs, made)
     state.add_factors(made)
     state.clusters.extend(placed)
@@ -138,7 +138,7 @@ def _remember_measurements(
                     item.id,
                     core.stamp,
                     core.sensor,
-                    state.store.put(prepared.thinned.astype(np.float32)),
+                    state.store.put(prepared.thinned.astype(np.float32, copy=False)),
                     offset,
                 )
                 state.scans.append(scan)

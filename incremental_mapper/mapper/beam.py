@@ -216,8 +216,11 @@ class _Search:
         elif self._task.inertial_cluster is not None:
             inertial.add(self._task.inertial_cluster)
         if node is not None:
-            own = self._task.head_cluster if node == HEAD else None
-            own = factors.local_id(candidate.clusters[node]) if own is None else own
+            if node == HEAD:
+                assert self._task.head_cluster is not None
+                own = self._task.head_cluster
+            else:
+                own = factors.local_id(candidate.clusters[node])
             needed.add(pose_key(own))
             inertial.add(own)
         for cluster in inertial:
