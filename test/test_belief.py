@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from incremental_mapper.config import GraphSettings
-from incremental_mapper.graph.belief import Belief, Problem, belief_of, extend, shrink, trimmed
+from incremental_mapper.graph.belief import Belief, shrink, trimmed
 from incremental_mapper.graph.factors import (
     FactorKind,
     between_factor,
@@ -19,7 +19,9 @@ from incremental_mapper.graph.factors import (
     velocity_key,
     velocity_prior,
 )
+from incremental_mapper.graph.growth import belief_of, extend
 from incremental_mapper.graph.linear import Layout, solve_scaled
+from incremental_mapper.graph.problem import Problem
 from incremental_mapper.graph.solver import make_graph, optimize, squared_error
 
 SECOND = 1_000_000_000

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dpotrs
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
 
-VELOCITY = ord('v')
-"""Letter of velocities, as it stands in the highest byte of a key."""
+POSE, VELOCITY = ord('x'), ord('v')
+"""Letters of poses and velocities, as they stand in the highest byte of a key."""
 
 
 def dimension(key: int) -> int:
@@ -25,18 +26,34 @@ def dimension(key: int) -> int:
 class Layout:
     """Where each variable's tangent step stands in a stacked vector."""
 
-    __slots__ = ('keys', 'places', 'size')
+    __slots__ = ('places', 'size')
 
     def __init__(self, keys: Iterable[int]) -> None:
-        self.keys = tuple(dict.fromkeys(keys))
         self.places: dict[int, slice] = {}
-        end = 0
-        for key in self.keys:
-            start, end = end, end + dimension(key)
-            self.places[key] = slice(start, end)
+        self.size = 0
+        self._append(keys)
+
+    def _append(self, keys: Iterable[int]) -> None:
+        places, end = self.places, self.size
+        for key in keys:
+            if key not in places:
+                start, end = end, end + dimension(key)
+                places[key] = slice(start, end)
         self.size = end
 
-    def columns(self, keys: Iterable[int]) -> NDArray[np.intp]:
+    @property
+    def keys(self) -> tuple[int, ...]:
+        """The variables in their order."""
+        return tuple(self.places)
+
+    def followed_by(self, keys: Iterable[int]) -> 'Layout':
+        """The same with those of the ``keys`` behind that it lacks."""
+        longer = Layout(())
+        longer.places, longer.size = dict(self.places), self.size
+        longer._append(keys)
+        return longer
+
+    def columns(self, keys: Iterable[int]) -> Indices:
         """Positions of the variables' steps, one after the other."""
         found: list[int] = []
         for key in keys:

@@ -8,7 +8,7 @@ import numpy as np
 
 from incremental_mapper.candidates.clusters import Candidate
 from incremental_mapper.config import Config
-from incremental_mapper.graph.belief import Solved, adopt, extend, shrink
+from incremental_mapper.graph.belief import shrink
 from incremental_mapper.graph.factors import (
     CONTINUITY,
     Factor,
@@ -17,6 +17,8 @@ from incremental_mapper.graph.factors import (
     pose_key,
     velocity_key,
 )
+from incremental_mapper.graph.growth import adopt, extend
+from incremental_mapper.graph.problem import Solved
 from incremental_mapper.graph.solver import copy_value, squared_error
 from incremental_mapper.mapper.front_end import PreparedFix
 from incremental_mapper.mapper.local_graph import WindowFactors, WindowInputs

@@ -25,8 +25,9 @@ from incremental_mapper.criteria.criterion import (
     StrategyPlan,
     score_all,
 )
-from incremental_mapper.graph.belief import Belief, extend, shrink
+from incremental_mapper.graph.belief import Belief, shrink
 from incremental_mapper.graph.factors import bias_key, pose_key, velocity_key
+from incremental_mapper.graph.growth import extend
 from incremental_mapper.graph.solver import copy_value
 from incremental_mapper.mapper.task import Task
 
@@ -247,7 +248,11 @@ class _Search:
             pose = correction.compose(factors.predicted(single.stamp))
             values.insert(pose_key(factors.local_id(single)), pose)
             clusters.append(single)
-        return self._task.scenes.poses(Candidate(tuple(clusters), ()), values)
+
+        def pose_of(key: int) -> gtsam.Pose3 | None:
+            return values.atPose3(key) if values.exists(key) else None
+
+        return self._task.scenes.poses(Candidate(tuple(clusters), ()), pose_of)
 
     def _make_criterion(self, plan: StrategyPlan, mom: MomSettings) -> Criterion:
         if not plan.scene:

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from incremental_mapper.config import Config
 from incremental_mapper.frontend.geodesy import IDENTITY_ALIGNMENT, align_track
 from incremental_mapper.geometry import pose_matrix
-from incremental_mapper.graph.belief import belief_of
 from incremental_mapper.graph.factors import (
     Factor,
     FactorKind,
@@ -22,6 +21,7 @@ from incremental_mapper.graph.factors import (
     velocity_continuity,
     velocity_prior,
 )
+from incremental_mapper.graph.growth import belief_of
 from incremental_mapper.graph.solver import copy_value, make_graph, optimize
 from incremental_mapper.mapper.front_end import Prepared, PreparedFix
 from incremental_mapper.mapper.state import GraphState

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 
 from incremental_mapper.candidates.clusters import (
     HEAD,
@@ -36,7 +35,7 @@ from incremental_mapper.graph.factors import (
 )
 from incremental_mapper.graph.solver import insert_bias
 from incremental_mapper.mapper.front_end import Prepared, PreparedFix
-from incremental_mapper.mapper.prediction import State, propagate
+from incremental_mapper.mapper.prediction import State, propagate, proper
 from incremental_mapper.mapper.scan_preparer import PreparedScan
 from incremental_mapper.mapper.state import Frontier, chain_start
 from incremental_mapper.measurements import NANOSECONDS
@@ -215,26 +214,61 @@ class WindowFactors:
         self.add_initial(candidate, values)
         return values
 
-    def add_initial(self, candidate: Candidate, values: gtsam.Values) -> None:
-        """Insert those of the candidate's new variables that ``values`` lacks."""
+    def add_initial(
+        self,
+        candidate: Candidate,
+        values: gtsam.Values,
+        states: Mapping[int, State] | None = None,
+    ) -> None:
+        """Insert those of the candidate's new variables that ``values`` lacks.
+
+        They start from the ``states`` at the clusters' stamps, by default the predicted ones.
+        """
+        states = self._in.states if states is None else states
         for index, cluster in enumerate(candidate.clusters):
-            own, state = self.local_id(cluster), self._in.states[cluster.stamp]
+            own, state = self.local_id(cluster), states[cluster.stamp]
             if not values.exists(pose_key(own)):
                 values.insert(pose_key(own), state.pose)
             if index in candidate.inertial_clusters:
-                self._add_inertial(own, state.velocity, values)
+                self._add_inertial(own, state, values)
         # A candidate may give velocity and bias to a cluster of G(t-1).
         if HEAD in candidate.inertial_clusters and not self._in.frontier.head_inertial:
             head = self._in.frontier.head
             assert head is not None
-            self._add_inertial(head, self._in.head_state.velocity, values)
+            self._add_inertial(head, self._in.head_state, values)
 
-    def _add_inertial(
-        self, cluster: int, velocity: NDArray[np.float64], values: gtsam.Values
-    ) -> None:
+    def _add_inertial(self, cluster: int, state: State, values: gtsam.Values) -> None:
         if not values.exists(velocity_key(cluster)):
-            values.insert(velocity_key(cluster), velocity)
-            insert_bias(values, bias_key(cluster), self._in.head_state.bias)
+            values.insert(velocity_key(cluster), state.velocity)
+            insert_bias(values, bias_key(cluster), state.bias)
+
+    def learned(self, candidate: Candidate, values: gtsam.Values) -> dict[int, State]:
+        """States at the window's stamps, put right by the ``values`` of a solved candidate.
+
+        Where it has no cluster, a state differs from the predicted one as the nearest does.
+        """
+        found: dict[int, State] = {}
+        solved = {cluster.stamp: self.local_id(cluster) for cluster in candidate.clusters}
+        inertial = {
+            candidate.clusters[index].stamp
+            for index in candidate.inertial_clusters
+            if index != HEAD
+        }
+        for stamp, predicted in self._in.states.items():
+            near = min(solved, key=lambda other: abs(other - stamp))
+            before = self._in.states[near]
+            pose = values.atPose3(pose_key(solved[near]))
+            velocity, bias = predicted.velocity, predicted.bias
+            if near != stamp:
+                pose = pose.compose(before.pose.between(predicted.pose))
+            if inertial:
+                near = min(inertial, key=lambda other: abs(other - stamp))
+                own = solved[near]
+                change = predicted.velocity - self._in.states[near].velocity
+                velocity = values.atVector(velocity_key(own)) + change
+                bias = values.atConstantBias(bias_key(own))
+            found[stamp] = State(stamp, proper(pose), velocity, bias)
+        return found
 
     def _odometry(
         self, item: PreparedScan, start: int, start_cluster: Cluster | None, end: Cluster

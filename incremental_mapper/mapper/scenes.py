@@ -1,6 +1,6 @@
 """What a window's candidates are judged on: its new scans among the recent ones."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import gtsam
 import numpy as np
@@ -63,20 +63,24 @@ class SceneBuilder:
             origin=states[max(states)].pose.translation(),
         )
 
-    def poses(self, candidate: Candidate, values: gtsam.Values) -> NDArray[np.float64]:
+    def poses(
+        self, candidate: Candidate, pose_of: Callable[[int], gtsam.Pose3 | None]
+    ) -> NDArray[np.float64]:
         """Poses T_map_base (S, 4, 4) of the scene's moving scans under a candidate.
 
-        ``values`` are the solved variables, with the lag's others that move along.
+        ``pose_of`` gives the solved poses by their keys, and those of the lag that move along;
+        None where a pose is not among them.
         """
         owner = {core: cluster for cluster in candidate.clusters for core in cluster.members}
         poses, offsets = [], []
         for item in self._new:
             cluster = owner[item.core]
-            poses.append(values.atPose3(pose_key(self._factors.local_id(cluster))).matrix())
+            solved = pose_of(pose_key(self._factors.local_id(cluster)))
+            assert solved is not None
+            poses.append(solved.matrix())
             offsets.append(self._offset(cluster, item.core.stamp))
         for (scan, _), key in zip(self._touched, self._touched_keys, strict=True):
-            pose = values.atPose3(key) if values.exists(key) else self._state.pose(scan.cluster)
-            poses.append(pose.matrix())
+            poses.append((pose_of(key) or self._state.pose(scan.cluster)).matrix())
         placed = np.array(poses).reshape(-1, 4, 4)
         moved: NDArray[np.float64] = placed @ np.array([*offsets, *self._touched_offsets]).reshape(
             -1, 4, 4

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import Any
 
-import gtsam
 import numpy as np
 
 from incremental_mapper.candidates.clusters import Candidate, Cluster
@@ -22,8 +21,9 @@ from incremental_mapper.criteria.criterion import (
     score_all,
 )
 from incremental_mapper.criteria.mom import direct_score, fast_scores
-from incremental_mapper.graph.belief import Problem, Solved
+from incremental_mapper.graph.problem import Solved
 from incremental_mapper.mapper.beam import beam_search
+from incremental_mapper.mapper.contest import Contest
 from incremental_mapper.mapper.task import Task
 
 AT_ONCE = 6
@@ -124,8 +124,8 @@ def choose(
         connected = sorted(connected, key=lambda item: item.time_shift)[:budget]
         cut = True
     clock.lap('candidates')
-    problem = Problem(task.belief, gtsam.Values(), task.max_iterations)
-    proposals = list(_propose(task, plan, problem, connected, clock))
+    contest = Contest(task)
+    proposals = list(_propose(task, plan, contest, connected, clock))
     # Without a scan, new or recent, there is nothing to judge a map by.
     poses = [item.poses for item, _ in proposals if item.poses is not None and len(item.poses)]
     scene = task.scenes.scene(poses) if poses else None
@@ -133,7 +133,7 @@ def choose(
     scores = score_all(criterion, [proposal for proposal, _ in proposals])
     clock.lap('score')
     if cut and plan.solve and budget is None:
-        refined = _refined(task, plan, problem, criterion, proposals, scores, selection, clock)
+        refined = _refined(task, plan, contest, criterion, proposals, scores, selection, clock)
         enumerated += refined
         reachable |= set(map(id, refined))
         found += len(refined)
@@ -149,9 +149,11 @@ def choose(
         for item in enumerated
     )
     best = _best(scores, [proposal.candidate for proposal, _ in proposals])
+    winner, solution = (None, None) if best is None else _settled(contest, *proposals[best])
+    clock.lap('solve')
     return Choice(
-        winner=None if best is None else proposals[best][0].candidate,
-        solution=None if best is None else proposals[best][1],
+        winner=winner,
+        solution=solution,
         loose=(),
         score=None if best is None else scores[best],
         score_name=criterion.name,
@@ -228,7 +230,7 @@ def _simplicity(candidate: Candidate) -> tuple[Any, ...]:
 def _refined(
     task: Task,
     plan: StrategyPlan,
-    problem: Problem,
+    contest: Contest,
     criterion: Criterion,
     proposals: list[tuple[Proposal, Solved | None]],
     scores: list[float],
@@ -266,7 +268,7 @@ def _refined(
             if time.perf_counter() >= until:
                 break
             some = fresh[start : start + AT_ONCE]
-            tried = list(_propose(task, plan, problem, some, clock))
+            tried = list(_propose(task, plan, contest, some, clock))
             proposals += tried
             scores += score_all(criterion, [proposal for proposal, _ in tried])
             clock.lap('score')
@@ -278,7 +280,7 @@ def _refined(
 def _propose(
     task: Task,
     plan: StrategyPlan,
-    problem: Problem,
+    contest: Contest,
     connected: list[Candidate],
     clock: '_Clock',
 ) -> Iterator[tuple[Proposal, Solved | None]]:
@@ -287,15 +289,21 @@ def _propose(
         if not plan.solve:
             yield Proposal(candidate), None
             continue
-        factors = [factor.factor for factor in task.factors.factors(candidate)]
-        task.factors.add_initial(candidate, problem.values)
-        solved = problem.solve(factors)
+        solved = contest.solve(candidate)
         if solved is None:
             continue
-        problem.learn(solved)
-        poses = task.scenes.poses(candidate, solved.values) if plan.scene else None
+        poses = task.scenes.poses(candidate, solved.pose) if plan.scene else None
         clock.lap('solve')
         yield Proposal(candidate, solved.error, poses), solved
+
+
+def _settled(
+    contest: Contest, proposal: Proposal, solved: Solved | None
+) -> tuple[Candidate, Solved | None]:
+    """The winner and its true solution."""
+    if solved is not None:
+        solved = contest.settle(proposal.candidate, solved)
+    return proposal.candidate, solved
 
 
 def _verify(criterion: Mom, proposals: list[Proposal], clock: '_Clock') -> Verification | None:

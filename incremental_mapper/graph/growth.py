@@ -1,0 +1,121 @@
+"""Beliefs that grow: by factors that are new, by what was solved already, or from a whole graph."""
+
+from collections.abc import Collection, Iterable, Mapping, Sequence
+
+import gtsam
+import numpy as np
+
+from incremental_mapper.graph.belief import Belief, triangle
+from incremental_mapper.graph.factors import cluster_of
+from incremental_mapper.graph.linear import Layout
+from incremental_mapper.graph.problem import Problem, Solved, linear_system
+from incremental_mapper.graph.solver import copy_value, eliminate, make_graph
+from incremental_mapper.graph.system import System
+
+
+def extend(
+    belief: Belief,
+    factors: Sequence[gtsam.NonlinearFactor],
+    initial: gtsam.Values,
+    clusters: Mapping[int, int],
+    max_iterations: int,
+) -> tuple[Belief, float]:
+    """Append factors and variables, and solve; all new variables join the frontier.
+
+    The cost of the solution comes back beside the larger belief, infinite where there is none.
+    """
+    problem = Problem(belief, initial, max_iterations)
+    solved = problem.solve(factors, initial.keys())
+    if solved is None:
+        values, cost = problem.values, np.inf
+        layout = Layout([*belief.keys, *initial.keys()])
+        system = linear_system(belief, layout, make_graph(factors), values).without_nonsense()
+    else:
+        values, cost, system = solved.values, solved.cost, solved.linear()
+    return _larger(belief, system, system.layout.keys, values, clusters, solved is not None), cost
+
+
+def adopt(
+    belief: Belief, solved: Solved, names: Mapping[int, int], clusters: Mapping[int, int]
+) -> Belief:
+    """Append what was solved on top of the same belief, with fewer followers or not.
+
+    ``names`` are the keys that new variables get in place of those that they were solved under.
+    """
+    system = solved.linear()
+    new = system.layout.keys[len(belief.keys) :]
+    own = solved.own()
+    values = own.extract(belief.keys)
+    followers = Layout(belief.followers)
+    step = belief.slopes @ system.total[: system.known]
+    moved = belief.values.extract(followers.keys).retract(followers.vector_values(step))
+    values.insert(moved)
+    for key in new:
+        copy_value(own, key, values, names.get(key, key))
+    renamed = (*belief.keys, *(names.get(key, key) for key in new))
+    return _larger(belief, system, renamed, values, clusters, healthy=True)
+
+
+def _larger(
+    belief: Belief,
+    system: System,
+    keys: tuple[int, ...],
+    values: gtsam.Values,
+    clusters: Mapping[int, int],
+    healthy: bool,
+) -> Belief:
+    new = system.layout.size - belief.root.shape[1]
+    return Belief(
+        keys=keys,
+        root=system.root,
+        rhs=system.rhs,
+        followers=belief.followers,
+        slopes=np.hstack([belief.slopes, np.zeros((len(belief.slopes), new))]),
+        values=values,
+        clusters={**belief.clusters, **clusters},
+        healthy=healthy,
+    )
+
+
+def belief_of(
+    factors: Iterable[gtsam.NonlinearFactor],
+    values: gtsam.Values,
+    clusters: Mapping[int, int],
+    keep: Collection[int],
+    oldest: int,
+) -> tuple[Belief, gtsam.Values]:
+    """The belief of a whole graph at its optimum ``values``, and what lies before the lag.
+
+    ``keep`` are the variables of its frontier. Costs a sparse elimination of the graph; ``extend``
+    and ``shrink`` do it step by step.
+    """
+    kept = sorted(set(keep) & set(values.keys()), key=lambda key: (cluster_of(key), key))
+    wanted = {cluster_of(key) for key in kept}
+    newer = {c for c, stamp in clusters.items() if stamp >= oldest or c in wanted}
+    dropped = sorted(set(values.keys()) - set(kept), key=cluster_of)
+    split = eliminate(make_graph(factors), values, dropped)
+    layout = Layout(kept)
+    system = linear_system(Belief(), layout, make_graph(split.factors), values)
+    root, rhs = triangle(system.root, system.rhs)
+    followers = tuple(key for key in dropped if cluster_of(key) in newer)
+    follower_layout = Layout(followers)
+    slopes = np.zeros((follower_layout.size, layout.size))
+    at_rest = split.conditional.optimize(layout.vector_values(np.zeros(layout.size)))
+    for column in range(layout.size):
+        unit = np.zeros(layout.size)
+        unit[column] = 1.0
+        moved = split.conditional.optimize(layout.vector_values(unit))
+        for key, place in follower_layout.places.items():
+            slopes[place, column] = moved.at(key) - at_rest.at(key)
+    inside = [key for key in values.keys() if cluster_of(key) in newer]  # noqa: SIM118
+    gone = [key for key in values.keys() if cluster_of(key) not in newer]  # noqa: SIM118
+    belief = Belief(
+        keys=layout.keys,
+        root=root,
+        rhs=rhs,
+        followers=followers,
+        slopes=slopes,
+        values=values.extract(inside),
+        clusters={c: s for c, s in clusters.items() if c in newer},
+    )
+    return belief, values.extract(gone)
