@@ -29,7 +29,7 @@ def extend(
     if solved is None:
         values, cost = problem.values, np.inf
         layout = Layout([*belief.keys, *initial.keys()])
-        system = linear_system(belief, layout, make_graph(factors), values).without_nonsense()
+        system = linear_system(belief, layout, make_graph(factors), values)
     else:
         values, cost, system = solved.values, solved.cost, solved.linear()
     return _larger(belief, system, system.layout.keys, values, clusters, solved is not None), cost
@@ -65,10 +65,11 @@ def _larger(
     healthy: bool,
 ) -> Belief:
     new = system.layout.size - belief.root.shape[1]
+    root, rhs = system.stacked()
     return Belief(
         keys=keys,
-        root=system.root,
-        rhs=system.rhs,
+        root=root,
+        rhs=rhs,
         followers=belief.followers,
         slopes=np.hstack([belief.slopes, np.zeros((len(belief.slopes), new))]),
         values=values,
@@ -96,7 +97,7 @@ def belief_of(
     split = eliminate(make_graph(factors), values, dropped)
     layout = Layout(kept)
     system = linear_system(Belief(), layout, make_graph(split.factors), values)
-    root, rhs = triangle(system.root, system.rhs)
+    root, rhs = triangle(*system.stacked())
     followers = tuple(key for key in dropped if cluster_of(key) in newer)
     follower_layout = Layout(followers)
     slopes = np.zeros((follower_layout.size, layout.size))

@@ -9,7 +9,7 @@ import numpy as np
 from incremental_mapper.graph.belief import Belief
 from incremental_mapper.graph.linear import POSE, Array, Indices, Layout
 from incremental_mapper.graph.solver import make_graph
-from incremental_mapper.graph.system import System
+from incremental_mapper.graph.system import Prior, Rest, System
 
 AGREEMENT = 1e-4
 """A solve has converged where the linear error is the true one, or the step makes the linear
@@ -69,7 +69,7 @@ class Solved:
         """The system, linearised at the solution."""
         if self.graph is None or not self.step.any():
             return self.system
-        return relinearized(self.system, self.graph, self.own())
+        return self.system.relinearized(*_rows(self.system.layout, self.graph, self.own()))
 
 
 class Problem:
@@ -83,6 +83,7 @@ class Problem:
         self._followers = Layout(belief.followers)
         self._known = Layout(belief.keys)
         self._max_iterations = max_iterations
+        self._prior = Prior(belief.root)
         # How far the frontier's ``values`` are from those of the belief.
         self._total = np.zeros(self._known.size)
         self._rhs = belief.rhs
@@ -101,7 +102,7 @@ class Problem:
         graph = make_graph(factors)
         layout = self._known.followed_by([*variables, *graph.keyVector()])
         values = self.values.extract(layout.keys)
-        system = self._system(layout, [_block(layout, graph, values)])
+        system = self._system(layout, *_rows(layout, graph, values))
         return self._descend(graph, values, system)
 
     def settle(self, solved: Solved, factors: Iterable[gtsam.NonlinearFactor]) -> Solved | None:
@@ -109,7 +110,7 @@ class Problem:
         if solved.graph is not None:
             return solved
         graph, values = make_graph(factors), solved.own()
-        system = relinearized(solved.system, graph, values)
+        system = solved.system.relinearized(*_rows(solved.system.layout, graph, values))
         return self._descend(graph, values, system)
 
     def _descend(
@@ -140,17 +141,18 @@ class Problem:
             cost = error + system.prior_error
             if settled:
                 break
-            system = relinearized(system, graph, values)
+            system = system.relinearized(*_rows(layout, graph, values))
             start, last = values, np.zeros(layout.size)
         if not np.isfinite(error):
             return None
         return self._solved(start, last, error, system, graph)
 
-    def _system(self, layout: Layout, blocks: Sequence[tuple[Indices, Array]]) -> System:
+    def _system(self, layout: Layout, rows: Array, rhs: Array) -> System:
         """Belief and factors around ``values``."""
-        system = System(self._belief.root, self._rhs, layout, blocks)
-        system.total[: len(self._total)] = self._total
-        return system
+        total = np.zeros(layout.size)
+        total[: len(self._total)] = self._total
+        rest = Rest(self._rhs, np.zeros(layout.size - len(self._total)), rhs)
+        return System(self._prior, layout, rows, rest, total)
 
     def _solved(
         self,
@@ -184,6 +186,10 @@ class SharedProblem(Problem):
     def __init__(self, belief: Belief, max_iterations: int) -> None:
         super().__init__(belief, gtsam.Values(), max_iterations)
         self._linear: dict[int, _Linear] = {}
+        # Columns of the variables of all sets together.
+        self._all = Layout(())
+        self._columns: dict[int, Indices] = {}
+        self._add_columns(belief.keys)
         self._started = False
 
     def solve_next(self, factors: Sequence[gtsam.NonlinearFactor]) -> Solved | None:
@@ -195,7 +201,7 @@ class SharedProblem(Problem):
             return solved
         linear = [self._linearized(factor) for factor in factors]
         layout = self._known.followed_by(key for item in linear for key in item.keys)
-        system = self._system(layout, [(layout.columns(item.keys), item.rows) for item in linear])
+        system = self._system(layout, *self._gathered(linear, layout))
         best = system.best()
         if best is None or not _is_near(best[0], layout):
             return self.solve(factors)
@@ -211,7 +217,7 @@ class SharedProblem(Problem):
         own = Layout(item.keys)
         moved = step[layout.columns(item.keys)]
         values = self.values.extract(item.keys).retract(own.vector_values(moved))
-        rest = item.rows[:, :-1] @ moved - item.rows[:, -1]
+        rest = item.entries.reshape(-1, len(moved)) @ moved - item.rhs
         linear = float(rest @ rest) + item.apart
         return abs(2.0 * item.factor.error(values) - linear) > AGREEMENT * (1.0 + error)
 
@@ -222,30 +228,66 @@ class SharedProblem(Problem):
         self._rhs = self._belief.rhs - self._belief.root @ self._total
         self.values.update(solved.own())
 
+    def _gathered(self, linear: Sequence['_Linear'], layout: Layout) -> tuple[Array, Array]:
+        """Rows (r, n) and right-hand sides (r,) of a set's factors."""
+        rhs = np.concatenate([item.rhs for item in linear])
+        # Where a column of all sets' variables stands among those of this set.
+        place = np.empty(self._all.size, dtype=np.intp)
+        place[np.concatenate([self._columns[key] for key in layout.places])] = np.arange(
+            layout.size
+        )
+        starts = np.cumsum([0, *(len(item.rhs) for item in linear[:-1])])
+        lines = np.concatenate([item.lines for item in linear])
+        lines += np.repeat(starts, [len(item.lines) for item in linear])
+        lines *= layout.size
+        lines += place.take(np.concatenate([item.columns for item in linear]))
+        rows = np.zeros((len(rhs), layout.size))
+        rows.reshape(-1)[lines] = np.concatenate([item.entries for item in linear])
+        return rows, rhs
+
     def _linearized(self, factor: gtsam.NonlinearFactor) -> '_Linear':
         known = self._linear.get(id(factor))
         if known is None:
             jacobian = factor.linearize(self.values)
-            rows = jacobian.augmentedJacobian()
-            rest = rows[:, -1]
-            apart = 2.0 * factor.error(self.values) - float(rest @ rest)
-            robust = isinstance(factor.noiseModel(), gtsam.noiseModel.Robust)
-            known = _Linear(factor, tuple(jacobian.keys()), rows, apart, robust)
+            keys, rows = tuple(jacobian.keys()), jacobian.augmentedJacobian()
+            self._add_columns(keys)
+            entries, rhs = rows[:, :-1], rows[:, -1].copy()
+            model = getattr(factor, 'noiseModel', lambda: None)()
+            known = _Linear(
+                factor=factor,
+                keys=keys,
+                entries=entries.ravel(),
+                lines=np.repeat(np.arange(len(rhs)), entries.shape[1]),
+                columns=np.tile(np.concatenate([self._columns[key] for key in keys]), len(rhs)),
+                rhs=rhs,
+                apart=2.0 * factor.error(self.values) - float(rhs @ rhs),
+                robust=isinstance(model, gtsam.noiseModel.Robust),
+            )
             self._linear[id(factor)] = known
         return known
+
+    def _add_columns(self, keys: Iterable[int]) -> None:
+        self._all = self._all.followed_by(keys)
+        for key in keys:
+            place = self._all.places[key]
+            self._columns[key] = np.arange(place.start, place.stop)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Linear:
-    """A factor as whitened rows (r, k + 1) over its ``keys``, the right-hand side last.
+    """A factor as whitened rows over its ``keys``.
 
-    ``apart`` is the true Σ‖h(x)−z‖²_Σ less the linear one: that of a robust loss grows slower than
-    the square that stands for it.
+    ``entries`` are the rows' numbers one after the other, each with its row in ``lines`` and its
+    column, among those of all sets, in ``columns``. ``apart`` is the true Σ‖h(x)−z‖²_Σ less the
+    linear one: that of a robust loss grows slower than the square that stands for it.
     """
 
     factor: gtsam.NonlinearFactor
     keys: tuple[int, ...]
-    rows: Array
+    entries: Array
+    lines: Indices
+    columns: Indices
+    rhs: Array
     apart: float
     robust: bool
 
@@ -265,16 +307,17 @@ def linear_system(
     belief: Belief, layout: Layout, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values
 ) -> System:
     """Belief and factors, linearised at ``values``."""
-    return System(belief.root, belief.rhs, layout, [_block(layout, graph, values)])
+    rows, rhs = _rows(layout, graph, values)
+    loose = np.zeros(layout.size - belief.root.shape[1])
+    total = np.zeros(layout.size)
+    return System(Prior(belief.root), layout, rows, Rest(belief.rhs, loose, rhs), total)
 
 
-def relinearized(system: System, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> System:
-    """The system with its factors, the ``graph``, linearised at other ``values``."""
-    return system.relinearized([_block(system.layout, graph, values)])
-
-
-def _block(
+def _rows(
     layout: Layout, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values
-) -> tuple[Indices, Array]:
-    rows = graph.linearize(values).augmentedJacobian()
-    return layout.columns(graph.keyVector()), rows
+) -> tuple[Array, Array]:
+    """Whitened factors (r, n) and their right-hand sides (r,)."""
+    augmented = graph.linearize(values).augmentedJacobian()
+    rows = np.zeros((len(augmented), layout.size))
+    rows[:, layout.columns(graph.keyVector())] = augmented[:, :-1]
+    return rows, augmented[:, -1].copy()

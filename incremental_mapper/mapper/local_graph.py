@@ -1,7 +1,7 @@
 """The factors of a window's candidates; what candidates share is built once."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import gtsam
 import numpy as np
@@ -66,6 +66,22 @@ class WindowInputs:
     config: Config
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Partition:
+    """What candidates with the same ``clusters`` share.
+
+    ``numbered`` are the clusters by their number and ``homes`` the number of every scan's cluster.
+    ``parts`` tell which of them hang together without any connection, 0 with G(t-1).
+    ``factors`` are those of the clusters' members, by the clusters' first elements.
+    """
+
+    clusters: tuple[Cluster, ...]
+    numbered: Mapping[int, Cluster]
+    homes: Mapping[tuple[str, int], int]
+    parts: tuple[int, ...]
+    factors: dict[int, Sequence[Factor]] = field(default_factory=dict)
+
+
 class WindowFactors:
     """Builds candidates' factors; the same cluster has the same keys in every candidate."""
 
@@ -75,6 +91,7 @@ class WindowFactors:
         self._cache: dict[tuple[object, ...], tuple[Factor, ...]] = {}
         self._offsets: dict[tuple[int, int], gtsam.Pose3] = {}
         self._reckoned: dict[int, State] = {}
+        self._partitions: dict[int, _Partition] = {}
         self._sigmas = pose_sigmas(
             inputs.config.odometry.sigma_translation, inputs.config.odometry.sigma_rotation
         )
@@ -83,40 +100,56 @@ class WindowFactors:
         """Number of a cluster while candidates compete; unique within the window."""
         return LOCAL + cluster.first * self._elements + cluster.last
 
-    def home(self, candidate: Candidate) -> dict[tuple[str, int], int]:
+    def home(self, candidate: Candidate) -> Mapping[tuple[str, int], int]:
         """Cluster of every scan that an odometry of this window may start from."""
-        homes = {(name, stamp): id_ for name, (id_, stamp) in self._in.frontier.chains.items()}
-        for cluster in candidate.clusters:
-            for core in cluster.members:
-                homes[core.sensor, core.stamp] = self.local_id(cluster)
-        return homes
+        return self._partition(candidate).homes
 
     def components(self, candidate: Candidate) -> list[list[Cluster]]:
         """Clusters by component, without those that reach G(t-1); in time order.
 
         In the first window there is no G(t-1), and the first component counts as it.
         """
-        sets: UnionFind[object] = UnionFind()
-        homes = self.home(candidate)
-        known = {id_ for id_, _ in self._in.frontier.chains.values()}
-        ids = [self.local_id(cluster) for cluster in candidate.clusters]
-        if self._in.frontier.newest is None and ids:
-            sets.union(GRAPH, ids[0])
-        for cluster, own in zip(candidate.clusters, ids, strict=True):
+        parts = self._partition(candidate).parts
+        if not any(parts):
+            return []
+        for link in candidate.connections:
+            start = 0 if link.start == HEAD else parts[link.start]
+            joined = sorted((start, parts[link.end]))
+            parts = tuple(joined[0] if part == joined[1] else part for part in parts)
+        loose: dict[int, list[Cluster]] = {}
+        for cluster, part in zip(candidate.clusters, parts, strict=True):
+            if part:
+                loose.setdefault(part, []).append(cluster)
+        return list(loose.values())
+
+    def _partition(self, candidate: Candidate) -> '_Partition':
+        """What candidates with these clusters share; enumerations hand on the same tuple."""
+        known = self._partitions.get(id(candidate.clusters))
+        if known is None:
+            known = self._make_partition(candidate.clusters)
+            self._partitions[id(candidate.clusters)] = known
+        return known
+
+    def _make_partition(self, clusters: tuple[Cluster, ...]) -> '_Partition':
+        numbers = tuple(self.local_id(cluster) for cluster in clusters)
+        homes = {(name, stamp): id_ for name, (id_, stamp) in self._in.frontier.chains.items()}
+        known = set(homes.values())
+        for cluster, own in zip(clusters, numbers, strict=True):
+            for core in cluster.members:
+                homes[core.sensor, core.stamp] = own
+        sets: UnionFind[int | str] = UnionFind()
+        if self._in.frontier.newest is None and numbers:
+            sets.union(GRAPH, numbers[0])
+        for cluster, own in zip(clusters, numbers, strict=True):
             for core in cluster.members:
                 item = self._in.prepared[core]
                 if isinstance(item, PreparedScan) and item.previous is not None:
                     other = homes.get((core.sensor, item.previous))
                     if other is not None:
                         sets.union(GRAPH if other in known else other, own)
-        for link in candidate.connections:
-            sets.union(GRAPH if link.start == HEAD else ids[link.start], ids[link.end])
-        loose: dict[object, list[Cluster]] = {}
-        for cluster, own in zip(candidate.clusters, ids, strict=True):
-            root = sets.find(own)
-            if root != sets.find(GRAPH):
-                loose.setdefault(root, []).append(cluster)
-        return list(loose.values())
+        labels: dict[int | str, int] = {sets.find(GRAPH): 0}
+        parts = tuple(labels.setdefault(sets.find(own), len(labels)) for own in numbers)
+        return _Partition(clusters, dict(zip(numbers, clusters, strict=True)), homes, parts)
 
     def offset(self, cluster: Cluster, stamp: int) -> gtsam.Pose3:
         """T_cluster_member: the identity, or the predicted motion if that is compensated."""
@@ -143,17 +176,12 @@ class WindowFactors:
 
         With ``since`` only those that its clusters from that index on bring along.
         """
-        homes = self.home(candidate)
-        by_home = {self.local_id(cluster): cluster for cluster in candidate.clusters}
+        partition = self._partition(candidate)
         made: list[Factor] = []
         for cluster in candidate.clusters[since:]:
-            for core in cluster.members:
-                item = self._in.prepared[core]
-                if isinstance(item, PreparedFix):
-                    made.extend(self._gnss(item, cluster))
-                elif item.previous is not None and (core.sensor, item.previous) in homes:
-                    start = homes[core.sensor, item.previous]
-                    made.extend(self._odometry(item, start, by_home.get(start), cluster))
+            if cluster.first not in partition.factors:
+                partition.factors[cluster.first] = self._of_cluster(cluster, partition)
+            made.extend(partition.factors[cluster.first])
         links = [link for link in candidate.connections if link.end >= since]
         for link in links:
             made.extend(self._imu(candidate, link.start, link.end))
@@ -161,6 +189,18 @@ class WindowFactors:
         if self._in.frontier.newest is None and since == 0:
             first = candidate.clusters[0]
             made.append(self._first_prior(first))
+        return made
+
+    def _of_cluster(self, cluster: Cluster, partition: '_Partition') -> Sequence[Factor]:
+        """Odometry and fixes of a cluster's members."""
+        made: list[Factor] = []
+        for core in cluster.members:
+            item = self._in.prepared[core]
+            if isinstance(item, PreparedFix):
+                made.extend(self._gnss(item, cluster))
+            elif item.previous is not None and (core.sensor, item.previous) in partition.homes:
+                start = partition.homes[core.sensor, item.previous]
+                made.extend(self._odometry(item, start, partition.numbered.get(start), cluster))
         return made
 
     def predicted(self, stamp: int) -> gtsam.Pose3:
@@ -225,14 +265,15 @@ class WindowFactors:
         They start from the ``states`` at the clusters' stamps, by default the predicted ones.
         """
         states = self._in.states if states is None else states
+        inertial = candidate.inertial_clusters
         for index, cluster in enumerate(candidate.clusters):
             own, state = self.local_id(cluster), states[cluster.stamp]
             if not values.exists(pose_key(own)):
                 values.insert(pose_key(own), state.pose)
-            if index in candidate.inertial_clusters:
+            if index in inertial:
                 self._add_inertial(own, state, values)
         # A candidate may give velocity and bias to a cluster of G(t-1).
-        if HEAD in candidate.inertial_clusters and not self._in.frontier.head_inertial:
+        if HEAD in inertial and not self._in.frontier.head_inertial:
             head = self._in.frontier.head
             assert head is not None
             self._add_inertial(head, self._in.head_state, values)

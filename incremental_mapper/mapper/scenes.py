@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from incremental_mapper.candidates.clusters import Candidate, Cluster
 from incremental_mapper.criteria.mom import Scene
 from incremental_mapper.geometry import transform_points
-from incremental_mapper.graph.factors import pose_key
+from incremental_mapper.graph.factors import cluster_of, pose_key
 from incremental_mapper.mapper.front_end import Prepared
 from incremental_mapper.mapper.local_graph import WindowFactors, WindowInputs
 from incremental_mapper.mapper.scan_preparer import PreparedScan
@@ -41,6 +41,8 @@ class SceneBuilder:
         self._touched_keys = [pose_key(scan.cluster) for scan, _ in self._touched]
         self._touched_offsets = [scan.T_cluster_scan.matrix() for scan, _ in self._touched]
         self._offsets: dict[tuple[int, int], NDArray[np.float64]] = {}
+        # The clusters are kept beside, so that their id stays theirs.
+        self._placings: dict[int, tuple[tuple[Cluster, ...], list[int], NDArray[np.float64]]] = {}
         self._settled = [scan for scan in last if not state.in_lag(scan[0].cluster)]
 
     def scene(self, poses: Sequence[NDArray[np.float64]]) -> Scene:
@@ -71,21 +73,34 @@ class SceneBuilder:
         ``pose_of`` gives the solved poses by their keys, and those of the lag that move along;
         None where a pose is not among them.
         """
-        owner = {core: cluster for cluster in candidate.clusters for core in cluster.members}
-        poses, offsets = [], []
-        for item in self._new:
-            cluster = owner[item.core]
-            solved = pose_of(pose_key(self._factors.local_id(cluster)))
-            assert solved is not None
-            poses.append(solved.matrix())
-            offsets.append(self._offset(cluster, item.core.stamp))
-        for (scan, _), key in zip(self._touched, self._touched_keys, strict=True):
-            poses.append((pose_of(key) or self._state.pose(scan.cluster)).matrix())
-        placed = np.array(poses).reshape(-1, 4, 4)
-        moved: NDArray[np.float64] = placed @ np.array([*offsets, *self._touched_offsets]).reshape(
-            -1, 4, 4
-        )
+        keys, offsets = self._placing(candidate)
+        poses = {}
+        for key in keys:
+            if key not in poses:
+                pose = pose_of(key) or self._state.pose(cluster_of(key))
+                poses[key] = pose.matrix()
+        placed = np.array([poses[key] for key in keys]).reshape(-1, 4, 4)
+        moved: NDArray[np.float64] = placed @ offsets
         return moved
+
+    def _placing(self, candidate: Candidate) -> tuple[list[int], NDArray[np.float64]]:
+        """Pose keys of the scene's moving scans, and T_cluster_scan (S, 4, 4) of each.
+
+        Candidates with the same clusters share them; enumerations hand on the same tuple.
+        """
+        known = self._placings.get(id(candidate.clusters))
+        if known is None:
+            owner = {core: cluster for cluster in candidate.clusters for core in cluster.members}
+            clusters = [owner[item.core] for item in self._new]
+            keys = [pose_key(self._factors.local_id(cluster)) for cluster in clusters]
+            offsets = [
+                self._offset(cluster, item.core.stamp)
+                for item, cluster in zip(self._new, clusters, strict=True)
+            ]
+            stacked = np.array([*offsets, *self._touched_offsets]).reshape(-1, 4, 4)
+            known = candidate.clusters, [*keys, *self._touched_keys], stacked
+            self._placings[id(candidate.clusters)] = known
+        return known[1:]
 
     def _offset(self, cluster: Cluster, stamp: int) -> NDArray[np.float64]:
         """T_cluster_scan as a matrix (4, 4)."""
