@@ -18,26 +18,25 @@ POSE, VELOCITY = ord('x'), ord('v')
 """Letters of poses and velocities, as they stand in the highest byte of a key."""
 
 
-def dimension(key: int) -> int:
-    """Tangent dimension of a variable: 6 for a pose or a bias, 3 for a velocity."""
-    return 3 if key >> 56 == VELOCITY else 6
-
-
 class Layout:
-    """Where each variable's tangent step stands in a stacked vector."""
+    """Where each variable's tangent step stands in a stacked vector.
+
+    Poses and biases have six numbers, velocities three.
+    """
 
     __slots__ = ('places', 'size')
 
     def __init__(self, keys: Iterable[int]) -> None:
         self.places: dict[int, slice] = {}
         self.size = 0
-        self._append(keys)
+        self.append(keys)
 
-    def _append(self, keys: Iterable[int]) -> None:
+    def append(self, keys: Iterable[int]) -> None:
+        """Add those of the ``keys`` that are not there yet."""
         places, end = self.places, self.size
         for key in keys:
             if key not in places:
-                start, end = end, end + dimension(key)
+                start, end = end, end + (3 if key >> 56 == VELOCITY else 6)
                 places[key] = slice(start, end)
         self.size = end
 
@@ -50,7 +49,7 @@ class Layout:
         """The same with those of the ``keys`` behind that it lacks."""
         longer = Layout(())
         longer.places, longer.size = dict(self.places), self.size
-        longer._append(keys)
+        longer.append(keys)
         return longer
 
     def columns(self, keys: Iterable[int]) -> Indices:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import gtsam
 import numpy as np
@@ -45,7 +46,8 @@ class Solved:
     def own(self) -> gtsam.Values:
         """Estimates of the variables that were solved for."""
         layout = self.system.layout
-        return self.start.extract(layout.keys).retract(layout.vector_values(self.step))
+        here = self.start.extract(layout.keys)
+        return here.retract(layout.vector_values(self.step)) if self.step.any() else here
 
     @property
     def values(self) -> gtsam.Values:
@@ -251,14 +253,15 @@ class SharedProblem(Problem):
             jacobian = factor.linearize(self.values)
             keys, rows = tuple(jacobian.keys()), jacobian.augmentedJacobian()
             self._add_columns(keys)
+            columns = np.concatenate([self._columns[key] for key in keys])
             entries, rhs = rows[:, :-1], rows[:, -1].copy()
             model = getattr(factor, 'noiseModel', lambda: None)()
             known = _Linear(
                 factor=factor,
                 keys=keys,
                 entries=entries.ravel(),
-                lines=np.repeat(np.arange(len(rhs)), entries.shape[1]),
-                columns=np.tile(np.concatenate([self._columns[key] for key in keys]), len(rhs)),
+                lines=_line_numbers(*entries.shape),
+                columns=np.broadcast_to(columns, entries.shape).ravel(),
                 rhs=rhs,
                 apart=2.0 * factor.error(self.values) - float(rhs @ rhs),
                 robust=isinstance(model, gtsam.noiseModel.Robust),
@@ -267,10 +270,11 @@ class SharedProblem(Problem):
         return known
 
     def _add_columns(self, keys: Iterable[int]) -> None:
-        self._all = self._all.followed_by(keys)
+        self._all.append(keys)
         for key in keys:
-            place = self._all.places[key]
-            self._columns[key] = np.arange(place.start, place.stop)
+            if key not in self._columns:
+                place = self._all.places[key]
+                self._columns[key] = np.arange(place.start, place.stop)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -292,15 +296,24 @@ class _Linear:
     robust: bool
 
 
+@lru_cache(maxsize=64)
+def _line_numbers(rows: int, columns: int) -> Indices:
+    """The row of every entry of a matrix (rows, columns)."""
+    return np.repeat(np.arange(rows), columns)
+
+
 def _is_near(step: Array, layout: Layout) -> bool:
     """Whether no pose turns by more than NEAR."""
+    sizes = np.abs(step)
+    if sizes.max(initial=0.0) <= NEAR:
+        return True
     turns = [
         index
         for key, place in layout.places.items()
         if key >> 56 == POSE
         for index in range(place.start, place.start + 3)
     ]
-    return bool(np.abs(step[turns]).max(initial=0.0) <= NEAR)
+    return bool(sizes[turns].max(initial=0.0) <= NEAR)
 
 
 def linear_system(
