@@ -1,7 +1,6 @@
 """Homogeneous moments Σ p̃ p̃ᵀ of points, p̃ = (p, 1), as ten numbers.
 
-The ten are the upper triangle of the 4×4 matrix: xx, xy, xz, x, yy, yz, y, zz, z, 1. A motion T of
-the points makes T M Tᵀ of their moments, which is linear in the ten numbers.
+The ten are the upper triangle of the 4×4 matrix: xx, xy, xz, x, yy, yz, y, zz, z, 1.
 """
 
 import numpy as np
@@ -12,7 +11,6 @@ COUNT = 9
 """Where among the ten numbers the number of points stands."""
 _SQUARES, _MEANS = np.array([0, 1, 2, 4, 5, 7]), np.array([3, 6, 8])
 _ROW, _COLUMN = np.triu_indices(4)
-_OFF_DIAGONAL = (_ROW != _COLUMN).astype(np.float64)
 
 
 def sum_products(
@@ -29,14 +27,6 @@ def sum_products(
         numbers = None if row == 3 else near[row] if column == 3 else near[row] * near[column]
         total[:] = np.bincount(rows, weights=numbers, minlength=count)
     return sums
-
-
-def transfers(motions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """What the motions (..., 4, 4) do to the ten numbers: matrices (..., 10, 10)."""
-    direct = motions[..., _ROW[:, None], _ROW] * motions[..., _COLUMN[:, None], _COLUMN]
-    crossed = motions[..., _ROW[:, None], _COLUMN] * motions[..., _COLUMN[:, None], _ROW]
-    matrices: NDArray[np.float64] = direct + _OFF_DIAGONAL * crossed
-    return matrices
 
 
 def covariances(numbers: NDArray[np.float64]) -> NDArray[np.float64]:

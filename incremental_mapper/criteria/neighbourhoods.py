@@ -1,156 +1,246 @@
-"""Which points lie around a query.
+"""Which points lie around a query, and the moments that they have there.
 
 Every window asks once, and of points that stand elsewhere in the next window, so that building a
-tree does not pay. The points are sorted into rows instead: a grid in x and z, and along y within
-a row. A ball is then a piece of each of a few rows.
+tree does not pay. The points are sorted into cubes instead, by counting. The cubes are numbered
+periodically along each axis: points that are far from each other may share one, which costs a
+look at them, but however far the points spread there are about as many cubes as points.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
+from math import floor, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
-from incremental_mapper.criteria.moments import NUMBERS, sum_products
+from incremental_mapper.compiled import kernel
 
-BLOCK = 300
-"""Queries that are answered together."""
-FINE = 4.0
-"""Steps a metre into which y is cut at the least, so that keys may be short."""
+MOST = 1e15
+"""Numbers of cubes count exactly up to here; no point is further out."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pairs:
-    """Neighbours of ``queries``, a range of them.
+class Grid:
+    """Points sorted into cubes of ``width`` metres.
 
-    Query queries.start + rows[i] and point ``columns[i]`` are a pair, ``squares[i]`` m^2 apart.
+    ``points`` (N, 3) in metres and their ``scan`` (N,) lie in the order of the cubes, those that
+    are not finite left out. Cube i has the points ``starts[i]`` to ``starts[i + 1]``;
+    ``masks`` (3,) are the numbers of cubes along the axes less one, each a power of two less one.
     """
 
-    queries: slice
-    rows: NDArray[np.int64]
-    columns: NDArray[np.int64]
-    squares: NDArray[np.float64]
+    points: NDArray[np.float64]
+    scan: NDArray[np.int64]
+    starts: NDArray[np.int64]
+    masks: NDArray[np.int64]
+    width: float
 
 
-class RowIndex:
-    """Points sorted into rows.
+@dataclass(frozen=True, slots=True, eq=False)
+class Rim:
+    """Pairs of a query and a point near the rim of its ball, sorted by query and scan.
 
-    ``points`` (3, N) are the points in their new order, metres; ``order`` (N,) are the places that
-    they had before. ``radius`` in metres is about the largest of the later searches.
+    Query q and the points of scan s have the pairs ``starts[q, s]`` to ``starts[q, s + 1]``;
+    ``starts`` is (Q, S + 1). ``apart`` (N, 3) is point minus query and ``inside`` (N,) whether it
+    is within the radius.
     """
 
-    def __init__(self, points: NDArray[np.float64], radius: float) -> None:
-        count = points.shape[1]
-        self._low = points.min(axis=1) if count else np.zeros(3)
-        extent = points.max(axis=1) - self._low if count else np.zeros(3)
-        # A ball of that radius never meets more than two by two rows.
-        self._width = 2.0 * radius
-        self._columns, self._layers = (int(extent[axis] / self._width) + 1 for axis in (0, 2))
-        # A row goes on until self._end; the next one begins so far behind it that no piece meets
-        # both.
-        self._end = float(extent[1]) + 2.0
-        self._span = self._end + 1.0
-        # A key and a point's number share an integer: sorting values is several times as fast as
-        # sorting numbers by their keys, and of 32 bits twice as fast as of 64. What is cut off a
-        # key only makes pieces a little longer.
-        bits = count.bit_length()
-        top = self._columns * self._layers * self._span
-        short = FINE * top < 2.0 ** (31 - bits)
-        self._kind: type[np.uint32 | np.uint64] = np.uint32 if short else np.uint64
-        self._scale = 2.0 ** ((31 if short else 62) - bits - int(np.log2(top)))
-        self._slack = 4.0 * float(np.spacing(top))
-        keys = self._whole(self._keys(points))
-        keys <<= bits
-        keys |= np.arange(count, dtype=self._kind)
-        keys.sort()
-        self.order = (keys & self._kind((1 << bits) - 1)).astype(np.int64)
-        self.points = points.take(self.order, axis=1)
-        keys >>= bits
-        self._sorted = keys
+    starts: NDArray[np.int64]
+    apart: NDArray[np.float64]
+    inside: NDArray[np.bool_]
 
-    def search(self, queries: NDArray[np.float64], radii: NDArray[np.float64]) -> Iterator[Pairs]:
-        """All pairs of ``queries`` (3, Q) and points within each query's ``radii`` (Q,).
 
-        They come in blocks of queries; the columns count in the new order.
-        """
-        for first in range(0, len(radii), BLOCK):
-            block = slice(first, first + BLOCK)
-            places, reach = queries[:, block], radii[block]
-            owner, starts, sizes = self._pieces(places, reach)
-            columns = np.repeat(starts - np.cumsum(sizes) + sizes, sizes)
-            columns += np.arange(len(columns))
-            asked = places.take(owner, axis=1)
-            squares = self._squares(0, columns, asked, sizes)
-            squares += self._squares(1, columns, asked, sizes)
-            squares += self._squares(2, columns, asked, sizes)
-            near = np.flatnonzero(squares <= np.repeat(np.square(reach).take(owner), sizes))
-            rows = np.repeat(owner, sizes).take(near)
-            yield Pairs(block, rows, columns.take(near), squares.take(near))
+def make_grid(points: NDArray[np.float64], bounds: NDArray[np.int64], width: float) -> Grid:
+    """Sort ``points`` (N, 3), of which scan s has bounds[s] to bounds[s + 1], ``bounds`` (S + 1,).
 
-    def _squares(
-        self,
-        axis: int,
-        columns: NDArray[np.int64],
-        asked: NDArray[np.float64],
-        sizes: NDArray[np.int64],
-    ) -> NDArray[np.float64]:
-        """Squared steps (N,) along an axis to points from ``asked`` (3, K), each for its piece."""
-        steps: NDArray[np.float64] = self.points[axis].take(columns)
-        steps -= np.repeat(asked[axis], sizes)
-        steps *= steps
-        return steps
+    ``width`` in metres is about the radius of the later searches.
+    """
+    bits = max(len(points).bit_length(), 6)
+    # The world is flat: fewer cubes are stacked than lie side by side.
+    up = bits // 4
+    across = (bits - up) // 2
+    masks = np.array([1 << (bits - up - across), 1 << across, 1 << up]) - 1
+    return Grid(*_sort(points, bounds, width, masks), masks, width)
 
-    def _keys(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        keys: NDArray[np.float64] = points[0] - self._low[0]
-        other: NDArray[np.float64] = points[2] - self._low[2]
-        for cells in keys, other:
-            cells /= self._width
-            np.floor(cells, out=cells)
-        keys *= self._layers
-        keys += other
-        keys *= self._span
-        keys += np.subtract(points[1], self._low[1] - 1.0, out=other)
-        return keys
 
-    def _whole(self, keys: NDArray[np.float64]) -> NDArray[np.uint32] | NDArray[np.uint64]:
-        """Keys as whole numbers; what was ascending remains so."""
-        whole: NDArray[np.uint32] | NDArray[np.uint64] = (keys * self._scale).astype(self._kind)
-        return whole
+def moments_of_parts(
+    grid: Grid, queries: NDArray[np.float64], radius: float, scans: int
+) -> NDArray[np.float64]:
+    """Moments (Q, S, 10) of each scan's points within ``radius`` of ``queries`` (Q, 3).
 
-    def _pieces(
-        self, queries: NDArray[np.float64], radii: NDArray[np.float64]
-    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-        """Query, start and length (K,) of the pieces of rows that balls reach into."""
-        places = queries - self._low[:, None]
-        # Cells (K, 2, Q) across and up, and the squared distances to them.
-        most = int(np.ceil(2.0 * radii.max() / self._width)) + 1
-        cells = np.floor((places[::2] - radii) / self._width) + np.arange(most)[:, None, None]
-        edges = cells * self._width - places[::2]
-        gaps = np.maximum(np.maximum(edges, -self._width - edges), 0.0)
-        gaps *= gaps
-        gaps[(cells < 0.0) | (cells >= [[self._columns], [self._layers]])] = np.inf
-        # Squared half lengths (K, K, Q) of the pieces, below zero where there is none.
-        rest = (np.square(radii) - gaps[:, 1]) - gaps[:, None, 0]
-        wanted = np.flatnonzero(rest >= 0.0)
-        owner = wanted % len(radii)
-        begin = ((cells[:, None, 0] * self._layers + cells[:, 1]) * self._span).take(wanted)
-        half = np.sqrt(rest.take(wanted))
-        half += self._slack
-        middle = places[1].take(owner) + 1.0
-        low = np.minimum(np.maximum(middle - half, 0.0), self._end)
-        high = np.minimum(np.maximum(middle + half, 0.0), self._end)
-        first = np.searchsorted(self._sorted, self._whole(begin + low), side='left')
-        last = np.searchsorted(self._sorted, self._whole(begin + high), side='right')
-        return owner, first, last - first
+    About the query, whose points are near and so keep the moments exact.
+    """
+    return _moments(
+        grid.points, grid.scan, grid.starts, grid.masks, grid.width, queries, radius, scans
+    )
+
+
+def find_rim(
+    grid: Grid, queries: NDArray[np.float64], radius: float, reach: NDArray[np.float64]
+) -> Rim:
+    """Pairs whose distance is within ``reach`` (Q, S) metres, one for each scan, of ``radius``."""
+    places = (grid.points, grid.scan, grid.starts, grid.masks, grid.width)
+    return Rim(*_rim(*places, queries, radius, reach))
 
 
 def moments_around(
     points: NDArray[np.float64], places: NDArray[np.float64], radius: float
 ) -> NDArray[np.float64]:
-    """Moments (10, P) of the ``points`` (N, 3) within ``radius`` metres of ``places`` (P, 3)."""
-    index = RowIndex(points.T, radius)
-    moments = np.zeros((NUMBERS, len(places)))
-    for pairs in index.search(places.T, np.full(len(places), radius)):
-        asked = len(places[pairs.queries])
-        moments[:, pairs.queries] = sum_products(pairs.rows, pairs.columns, index.points, asked)
-    return moments
+    """Moments (10, P), about the place, of ``points`` (N, 3) within ``radius`` of ``places`` (P, 3).
+
+    All in metres.
+    """
+    points = np.ascontiguousarray(points, dtype=np.float64)
+    grid = make_grid(points, np.array([0, len(points)]), radius)
+    parts = moments_of_parts(grid, np.ascontiguousarray(places, dtype=np.float64), radius, 1)
+    return np.ascontiguousarray(parts[:, 0].T)
+
+
+@kernel
+def _sort(
+    points: NDArray[np.float64],
+    bounds: NDArray[np.int64],
+    width: float,
+    masks: NDArray[np.int64],
+) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
+    """Points, scans and starts of a Grid."""
+    mx, my, mz, scale = masks[0], masks[1], masks[2], 1.0 / width
+    cubes = np.empty(len(points), dtype=np.int64)
+    # Two places on, so that filling in the points makes the starts of the ends.
+    starts = np.zeros((mx + 1) * (my + 1) * (mz + 1) + 2, dtype=np.int64)
+    for i in range(len(points)):
+        x, y, z = points[i, 0] * scale, points[i, 1] * scale, points[i, 2] * scale
+        if abs(x) + abs(y) + abs(z) < MOST:
+            cube = ((int(floor(x)) & mx) * (my + 1) + (int(floor(y)) & my)) * (mz + 1)
+            cube += int(floor(z)) & mz
+            cubes[i] = cube
+            starts[cube + 2] += 1
+        else:
+            cubes[i] = -1
+    for cube in range(2, len(starts)):
+        starts[cube] += starts[cube - 1]
+    placed = np.empty((starts[-1], 3))
+    scan = np.empty(starts[-1], dtype=np.int64)
+    for own in range(len(bounds) - 1):
+        for i in range(bounds[own], bounds[own + 1]):
+            if cubes[i] >= 0:
+                place = starts[cubes[i] + 1]
+                starts[cubes[i] + 1] += 1
+                placed[place, 0], placed[place, 1] = points[i, 0], points[i, 1]
+                placed[place, 2] = points[i, 2]
+                scan[place] = own
+    return placed, scan, starts[:-1]
+
+
+@kernel
+def _span(place: float, reach: float, width: float, mask: int) -> tuple[int, int]:
+    """First cube along an axis within ``reach`` of ``place``, and the one after the last."""
+    if not (abs(place) + reach) / width < MOST:
+        return 0, 0
+    first, last = int(floor((place - reach) / width)), int(floor((place + reach) / width))
+    # Once around, the cubes come again.
+    return first, min(last, first + mask) + 1
+
+
+@kernel
+def _moments(
+    points: NDArray[np.float64],
+    scan: NDArray[np.int64],
+    starts: NDArray[np.int64],
+    masks: NDArray[np.int64],
+    width: float,
+    queries: NDArray[np.float64],
+    radius: float,
+    scans: int,
+) -> NDArray[np.float64]:
+    """See moments_of_parts."""
+    mx, my, mz = masks[0], masks[1], masks[2]
+    limit = radius * radius
+    sums = np.zeros((len(queries), scans, 10))
+    for q in range(len(queries)):
+        a, b, c = queries[q, 0], queries[q, 1], queries[q, 2]
+        low_x, high_x = _span(a, radius, width, mx)
+        low_y, high_y = _span(b, radius, width, my)
+        low_z, high_z = _span(c, radius, width, mz)
+        for i in range(low_x, high_x):
+            for j in range(low_y, high_y):
+                row = ((i & mx) * (my + 1) + (j & my)) * (mz + 1)
+                for k in range(low_z, high_z):
+                    cube = row + (k & mz)
+                    for n in range(starts[cube], starts[cube + 1]):
+                        x, y, z = points[n, 0] - a, points[n, 1] - b, points[n, 2] - c
+                        if x * x + y * y + z * z <= limit:
+                            own = sums[q, scan[n]]
+                            own[0] += x * x
+                            own[1] += x * y
+                            own[2] += x * z
+                            own[3] += x
+                            own[4] += y * y
+                            own[5] += y * z
+                            own[6] += y
+                            own[7] += z * z
+                            own[8] += z
+                            own[9] += 1.0
+    return sums
+
+
+@kernel
+def _rim(
+    points: NDArray[np.float64],
+    scan: NDArray[np.int64],
+    starts: NDArray[np.int64],
+    masks: NDArray[np.int64],
+    width: float,
+    queries: NDArray[np.float64],
+    radius: float,
+    reach: NDArray[np.float64],
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_]]:
+    """Starts, steps and insides of a Rim."""
+    mx, my, mz = masks[0], masks[1], masks[2]
+    count, scans = reach.shape
+    bounds = np.zeros((count, scans + 1), dtype=np.int64)
+    near = np.empty(64, dtype=np.int64)  # the points of the pairs, as they are found
+    places = np.empty(scans, dtype=np.int64)
+    done = 0
+    for q in range(count):
+        a, b, c = queries[q, 0], queries[q, 1], queries[q, 2]
+        widest = 0.0
+        for s in range(scans):
+            widest = max(widest, reach[q, s])
+            places[s] = 0
+        begun = done
+        # Most pairs are too near or too far for any reach.
+        most = (radius + widest) * (radius + widest)
+        least = max(radius - widest, 0.0) * max(radius - widest, 0.0)
+        low_x, high_x = _span(a, radius + widest, width, mx)
+        low_y, high_y = _span(b, radius + widest, width, my)
+        low_z, high_z = _span(c, radius + widest, width, mz)
+        for i in range(low_x, high_x):
+            for j in range(low_y, high_y):
+                row = ((i & mx) * (my + 1) + (j & my)) * (mz + 1)
+                for k in range(low_z, high_z):
+                    cube = row + (k & mz)
+                    for n in range(starts[cube], starts[cube + 1]):
+                        x, y, z = points[n, 0] - a, points[n, 1] - b, points[n, 2] - c
+                        square = x * x + y * y + z * z
+                        if least <= square <= most:
+                            if abs(sqrt(square) - radius) <= reach[q, scan[n]]:
+                                if done == len(near):
+                                    longer = np.empty(2 * done, dtype=np.int64)
+                                    longer[:done] = near
+                                    near = longer
+                                near[done] = n
+                                places[scan[n]] += 1
+                                done += 1
+        bounds[q, 0] = begun
+        for s in range(scans):
+            bounds[q, s + 1] = bounds[q, s] + places[s]
+    apart, inside = np.empty((done, 3)), np.empty(done, dtype=np.bool_)
+    for q in range(count):
+        places[:] = bounds[q, :-1]
+        for i in range(bounds[q, 0], bounds[q, scans]):
+            n = near[i]
+            place = places[scan[n]]
+            places[scan[n]] += 1
+            x, y, z = points[n, 0] - queries[q, 0], points[n, 1] - queries[q, 1], points[n, 2] - queries[q, 2]
+            apart[place, 0], apart[place, 1], apart[place, 2] = x, y, z
+            inside[place] = x * x + y * y + z * z <= radius * radius
+    return bounds, apart, inside

@@ -1,9 +1,12 @@
 """Planar neighbourhoods and their three mutually orthogonal families (paper, MOM)."""
 
 from dataclasses import dataclass
+from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
+
+from incremental_mapper.compiled import kernel
 
 MAX_AXES = 100
 """Normals that are tried as an axis; more do not change which direction wins."""
@@ -27,65 +30,11 @@ def orthogonal_families(normals: NDArray[np.float64], max_angle: float) -> Famil
         return Families(np.eye(3), np.zeros(0, dtype=np.int64))
     limit = float(np.cos(max_angle))
     rows = np.ascontiguousarray(normals.T)
-    trial = normals[spread_positions(len(normals), MAX_AXES)]
-    near = _alike(trial, rows, limit)
-    first = _mean_axis(rows.compress(near[int(_counts(near).argmax())], axis=1))
-    # Below pi/4, what is near the first axis is near nothing that is across it.
-    others = rows
-    if max_angle < np.pi / 4.0:
-        others = rows.compress(np.abs(first @ rows) <= limit, axis=1)
-    # What is across the first axis is told by two numbers, and a quarter turn swaps these.
-    basis = _basis_across(first)
-    across = basis @ trial.T
-    length = np.sqrt(across[0] * across[0] + across[1] * across[1])
-    long = length > limit
-    across = (across.compress(long, axis=1) / length[long]) if long.any() else np.eye(2)[:, :1]
-    flat = basis @ others
-    third = np.array([-across[1], across[0]])
-    votes = _counts(_alike(across.T, flat, limit)) + _counts(_alike(third.T, flat, limit))
-    best = int(votes.argmax())
-    axes = np.vstack([first, across[:, best] @ basis, third[:, best] @ basis])
-    match = np.abs(axes @ rows)
-    labels = match.argmax(axis=0)
-    labels[match.max(axis=0) <= limit] = -1
-    return Families(axes, labels)
-
-
-def _alike(
-    axes: NDArray[np.float64], normals: NDArray[np.float64], limit: float
-) -> NDArray[np.bool_]:
-    """Where (A, K) the cosine between ``axes`` (A, D) and ``normals`` (D, K) is above the limit."""
-    # For so short a sum einsum is twice as quick as a matrix product.
-    cosines = np.einsum('ai,ik->ak', axes, normals)
-    alike: NDArray[np.bool_] = np.abs(cosines, out=cosines) > limit
-    return alike
-
-
-def _counts(chosen: NDArray[np.bool_]) -> NDArray[np.int32]:
-    """How many (A,) are chosen (A, K) in each row."""
-    counts: NDArray[np.int32] = np.add.reduce(chosen, axis=1, dtype=np.int32)
-    return counts
-
-
-def _mean_axis(normals: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The direction (3,) of unit vectors (3, K)."""
+    trial = rows.take(spread_positions(len(normals), MAX_AXES), axis=1)
     # A normal and its opposite are the same axis, so the mean is taken of n nᵀ.
-    axis: NDArray[np.float64] = np.linalg.eigh(normals @ normals.T)[1][:, -1]
-    return axis
-
-
-def _basis_across(axis: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Two unit vectors (2, 3) across the unit vector (3,) and across each other."""
-    x, y, z = axis.tolist()
-    sign = 1.0 if z >= 0.0 else -1.0
-    scale = -1.0 / (sign + z)
-    mixed = x * y * scale
-    return np.array(
-        [
-            [1.0 + sign * x * x * scale, sign * mixed, -sign * x],
-            [mixed, sign + y * y * scale, -y],
-        ]
-    )
+    first = np.linalg.eigh(_most_alike(trial, rows, limit))[1][:, -1].copy()
+    axes = _axes(first, _some_across(first), trial, rows, limit)
+    return Families(axes, _labels(axes, rows, limit))
 
 
 def spread_positions(count: int, wanted: int) -> NDArray[np.int64]:
@@ -97,3 +46,96 @@ def spread_positions(count: int, wanted: int) -> NDArray[np.int64]:
     positions = (np.arange(wanted) * ((count - 1) / (wanted - 1))).astype(np.int64)
     positions[-1] = count - 1
     return positions
+
+
+def _some_across(axis: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A unit vector (3,) across the unit vector (3,)."""
+    x, y, z = axis.tolist()
+    sign = 1.0 if z >= 0.0 else -1.0
+    scale = -1.0 / (sign + z)
+    return np.array([1.0 + sign * x * x * scale, sign * x * y * scale, -sign * x])
+
+
+@kernel
+def _votes(x: float, y: float, z: float, normals: NDArray[np.float64], limit: float) -> int:
+    """How many normals (3, K) have a cosine above the limit with an axis."""
+    count = 0
+    for k in range(normals.shape[1]):
+        count += abs(x * normals[0, k] + y * normals[1, k] + z * normals[2, k]) > limit
+    return count
+
+
+@kernel
+def _most_alike(
+    trial: NDArray[np.float64], normals: NDArray[np.float64], limit: float
+) -> NDArray[np.float64]:
+    """Σ n nᵀ (3, 3) of the normals (3, K) that are alike that of ``trial`` (3, A) with the most."""
+    best, most = 0, -1
+    for a in range(trial.shape[1]):
+        votes = _votes(trial[0, a], trial[1, a], trial[2, a], normals, limit)
+        if votes > most:
+            best, most = a, votes
+    x, y, z = trial[0, best], trial[1, best], trial[2, best]
+    total = np.zeros((3, 3))
+    for k in range(normals.shape[1]):
+        u, v, w = normals[0, k], normals[1, k], normals[2, k]
+        if abs(x * u + y * v + z * w) > limit:
+            total[0, 0] += u * u
+            total[1, 0] += u * v
+            total[2, 0] += u * w
+            total[1, 1] += v * v
+            total[2, 1] += v * w
+            total[2, 2] += w * w
+    total[0, 1], total[0, 2], total[1, 2] = total[1, 0], total[2, 0], total[2, 1]
+    return total
+
+
+@kernel
+def _axes(
+    first: NDArray[np.float64],
+    spare: NDArray[np.float64],
+    trial: NDArray[np.float64],
+    normals: NDArray[np.float64],
+    limit: float,
+) -> NDArray[np.float64]:
+    """The three axes (3, 3): the first, and the two across it that most normals (3, K) vote for.
+
+    A second axis is what of one of ``trial`` (3, A) is across the first, or ``spare`` (3,) where
+    none of them is.
+    """
+    x, y, z = first[0], first[1], first[2]
+    best, most = spare, -1
+    for a in range(trial.shape[1]):
+        along = x * trial[0, a] + y * trial[1, a] + z * trial[2, a]
+        u, v, w = trial[0, a] - along * x, trial[1, a] - along * y, trial[2, a] - along * z
+        length = sqrt(u * u + v * v + w * w)
+        if length > limit:
+            u, v, w = u / length, v / length, w / length
+            votes = _votes(u, v, w, normals, limit)
+            votes += _votes(y * w - z * v, z * u - x * w, x * v - y * u, normals, limit)
+            if votes > most:
+                best, most = np.array([u, v, w]), votes
+    axes = np.empty((3, 3))
+    axes[0], axes[1] = first, best
+    u, v, w = best[0], best[1], best[2]
+    axes[2, 0], axes[2, 1], axes[2, 2] = y * w - z * v, z * u - x * w, x * v - y * u
+    return axes
+
+
+@kernel
+def _labels(
+    axes: NDArray[np.float64], normals: NDArray[np.float64], limit: float
+) -> NDArray[np.int64]:
+    """The axis (K,) that is most alike each of the normals (3, K), -1 where none is alike."""
+    labels = np.full(normals.shape[1], -1)
+    for k in range(normals.shape[1]):
+        most = limit
+        for axis in range(3):
+            cosine = abs(
+                axes[axis, 0] * normals[0, k]
+                + axes[axis, 1] * normals[1, k]
+                + axes[axis, 2] * normals[2, k]
+            )
+            if cosine > most:
+                labels[k], most = axis, cosine
+    return labels

@@ -1,91 +1,217 @@
-"""Neighbours that come and go between candidates.
+"""How the moments of neighbourhoods change between candidates.
 
 Let scan s hold a point p and scan t the query q, both placed at the reference, and let a candidate
-move them by D_s and D_t. Then D_s p − D_t q = R_s (p − q) + (D_s − D_t) q, so the distance of the
-pair changes by at most the drift |(D_s − D_t) q|, whatever p is. Pairs whose distance is
-further from the radius than any candidate's drift stay in or out. The few others, the shell, are
-looked at again for every candidate.
+move them by D_s = (R_s, τ_s) and D_t. With p = q + u they are then R_s(u + f) apart, where
+f = R_sᵀ(D_s − D_t) q is the drift: it is the same for all points of the scan. So the moments of
+its points about q are shifted by f and turned by R_tᵀR_s, which brings those of all scans into
+one frame. The distance of a pair changes by at most |f|: pairs whose distance is further from the
+radius than any candidate's drift stay in or out. The few others, the rim, are looked at again for
+every candidate.
 """
-
-from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from incremental_mapper.criteria.moments import sum_products
+from incremental_mapper.compiled import kernel
+from incremental_mapper.criteria.neighbourhoods import Rim
 
 ROUNDING = 1e-9
 """Metres that a distance may be off by rounding."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Shell:
-    """Pairs near the rim: ``judge`` (N,), ``scan`` (N,) of the point, ``points`` (3, N).
-
-    ``apart`` (3, N) is point minus judge and ``inside`` (N,) whether it is within the radius, all
-    at the reference.
-    """
-
-    judge: NDArray[np.int64]
-    scan: NDArray[np.int64]
-    points: NDArray[np.float64]
-    apart: NDArray[np.float64]
-    inside: NDArray[np.bool_]
-
-    def flips(
-        self, motions: NDArray[np.float64], drifts: NDArray[np.float64], radius: float
-    ) -> NDArray[np.float64]:
-        """Moments (10, C, P) of what came, less those of what went, of P judges.
-
-        ``motions`` (C, S, 4, 4) are the D_s and ``drifts`` (3, C, S, P) those of the judges.
-        """
-        count, judges = drifts.shape[1], drifts.shape[3]
-        squares = np.zeros((count, len(self.judge)))
-        place = self.scan * judges + self.judge
-        for drift, apart in zip(drifts.reshape(3, count, -1), self.apart, strict=True):
-            steps = drift.take(place, axis=1, mode='clip')
-            steps += apart
-            steps *= steps
-            squares += steps
-        changed = np.flatnonzero((squares <= radius**2) != self.inside)
-        candidate, pair = np.divmod(changed, max(len(self.judge), 1))
-        moved = motions[candidate, self.scan[pair]]
-        placed = np.einsum('nij,jn->in', moved[:, :3, :3], self.points[:, pair]) + moved[:, :3, 3].T
-        rows, size = candidate * judges + self.judge[pair], count * judges
-        # What went is summed behind what came.
-        rows += size * self.inside[pair]
-        sums = sum_products(rows, np.arange(len(rows)), placed, 2 * size)
-        return (sums[:, :size] - sums[:, size:]).reshape(-1, count, judges)
-
-
-def drifts(
-    motions: NDArray[np.float64], queries: NDArray[np.float64], scan: NDArray[np.int64]
+def largest_drifts(
+    motions: NDArray[np.float64],
+    queries: NDArray[np.float64],
+    scan: NDArray[np.int64],
+    limit: float,
 ) -> NDArray[np.float64]:
-    """R_sᵀ(D_s − D_t) q in metres, (3, C, S, Q), for ``queries`` (3, Q) of the scans ``scan`` (Q,).
+    """Largest drifts (Q, S) in metres of the candidates that drift by no more than ``limit``.
 
-    The turn by R_sᵀ makes |p − q + drift| the distance of a pair. ``scan`` must ascend.
+    ``motions`` (C, S, 4, 4) are the D_s, ``queries`` (Q, 3) those of the scans ``scan`` (Q,). The
+    other candidates would make rims that cost more than to search again for them alone.
     """
+    return _largest_drifts(np.ascontiguousarray(motions), queries, scan, limit)
+
+
+def moved_covariances(
+    motions: NDArray[np.float64],
+    queries: NDArray[np.float64],
+    scan: NDArray[np.int64],
+    parts: NDArray[np.float64],
+    rim: Rim,
+    reach: NDArray[np.float64],
+    radius: float,
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Covariances (6, C, Q) of neighbourhoods, xx, xy, xz, yy, yz, zz, as candidates move them.
+
+    ``motions`` (C, S, 4, 4) are the D_s; ``queries`` (Q, 3), ``scan`` (Q,), the moments ``parts``
+    (Q, S, 10) and the ``rim`` are those of the reference. Also tells which candidates (C,) drift by
+    no more than ``reach`` (Q, S); the covariances of the others are void.
+    """
+    return _moved(
+        np.ascontiguousarray(motions),
+        queries,
+        scan,
+        parts,
+        rim.starts,
+        rim.apart,
+        rim.inside,
+        np.square(reach + 0.1 * ROUNDING),
+        radius,
+    )
+
+
+@kernel
+def _against(
+    motions: NDArray[np.float64],
+    own: int,
+    steps: NDArray[np.float64],
+    turns: NDArray[np.float64],
+) -> None:
+    """Drifts f = ``steps`` (S, 3, 4) times (q, 1), and ``turns`` (S, 3, 3), of a candidate.
+
+    ``motions`` (S, 4, 4) are the D_s and ``own`` is the scan of the queries.
+    """
+    t = motions[own]
+    for s in range(len(motions)):
+        m = motions[s]
+        for i in range(3):
+            for j in range(4):
+                steps[s, i, j] = (
+                    m[0, i] * (m[0, j] - t[0, j])
+                    + m[1, i] * (m[1, j] - t[1, j])
+                    + m[2, i] * (m[2, j] - t[2, j])
+                )
+            for j in range(3):
+                turns[s, i, j] = t[0, i] * m[0, j] + t[1, i] * m[1, j] + t[2, i] * m[2, j]
+
+
+@kernel
+def _largest_drifts(
+    motions: NDArray[np.float64],
+    queries: NDArray[np.float64],
+    scan: NDArray[np.int64],
+    limit: float,
+) -> NDArray[np.float64]:
+    """See largest_drifts."""
     count, scans = motions.shape[:2]
-    tilde = np.ones((4, queries.shape[1]))
-    tilde[:3] = queries
-    back = np.swapaxes(motions[:, :, :3, :3], -1, -2)
-    found = np.empty((3 * count * scans, queries.shape[1]))
-    bounds = np.searchsorted(scan, np.arange(scans + 1)).tolist()
-    for own, (start, end) in enumerate(pairwise(bounds)):
-        if start == end:
-            continue
-        mine = slice(start, end)
-        against = back @ (motions[:, :, :3] - motions[:, own : own + 1, :3])
-        rows = against.transpose(2, 0, 1, 3).reshape(-1, 4)
-        # For so short a sum einsum is twice as quick as a matrix product.
-        np.einsum('rk,kq->rq', rows, tilde[:, mine], out=found[:, mine])
-    return found.reshape(3, count, scans, queries.shape[1])
+    squares, largest = np.empty((len(queries), scans)), np.zeros((len(queries), scans))
+    steps, turns = np.empty((scans, 3, 4)), np.empty((scans, 3, 3))
+    for c in range(count):
+        own, near = -1, True
+        for q in range(len(queries)):
+            if scan[q] != own:
+                own = scan[q]
+                _against(motions[c], own, steps, turns)
+            x, y, z = queries[q, 0], queries[q, 1], queries[q, 2]
+            for s in range(scans):
+                m = steps[s]
+                f = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]
+                g = m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]
+                h = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
+                square = f * f + g * g + h * h
+                near &= square <= limit * limit  # NaN is not
+                squares[q, s] = square
+            if not near:
+                break
+        if near:
+            for q in range(len(queries)):
+                for s in range(scans):
+                    largest[q, s] = max(largest[q, s], squares[q, s])
+    return np.sqrt(largest)
 
 
-def squared_lengths(drifts: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Squared lengths (C, S, Q) of ``drifts`` (3, C, S, Q)."""
-    squares: NDArray[np.float64] = drifts[0] * drifts[0]
-    squares += drifts[1] * drifts[1]
-    squares += drifts[2] * drifts[2]
-    return squares
+@kernel
+def _moved(
+    motions: NDArray[np.float64],
+    queries: NDArray[np.float64],
+    scan: NDArray[np.int64],
+    parts: NDArray[np.float64],
+    starts: NDArray[np.int64],
+    apart: NDArray[np.float64],
+    inside: NDArray[np.bool_],
+    allowed: NDArray[np.float64],
+    radius: float,
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """See moved_covariances; ``allowed`` (Q, S) are the squares of the reach."""
+    count, scans = motions.shape[:2]
+    found = np.zeros((6, count, len(queries)))
+    near = np.ones(count, dtype=np.bool_)
+    steps, turns = np.empty((scans, 3, 4)), np.empty((scans, 3, 3))
+    for c in range(count):
+        own = -1
+        for q in range(len(queries)):
+            if scan[q] != own:
+                own = scan[q]
+                _against(motions[c], own, steps, turns)
+            a, b, d = queries[q, 0], queries[q, 1], queries[q, 2]
+            # Moments of the whole neighbourhood, about the query and in the turned frame.
+            txx = txy = txz = tyy = tyz = tzz = tx = ty = tz = total = 0.0
+            for s in range(scans):
+                m = steps[s]
+                f = m[0, 0] * a + m[0, 1] * b + m[0, 2] * d + m[0, 3]
+                g = m[1, 0] * a + m[1, 1] * b + m[1, 2] * d + m[1, 3]
+                h = m[2, 0] * a + m[2, 1] * b + m[2, 2] * d + m[2, 3]
+                if not f * f + g * g + h * h <= allowed[q, s]:
+                    near[c] = False
+                    break
+                p = parts[q, s]
+                xx, xy, xz, x = p[0], p[1], p[2], p[3]
+                yy, yz, y, zz, z, n = p[4], p[5], p[6], p[7], p[8], p[9]
+                for i in range(starts[q, s], starts[q, s + 1]):
+                    u, v, w = apart[i, 0], apart[i, 1], apart[i, 2]
+                    square = (u + f) * (u + f) + (v + g) * (v + g) + (w + h) * (w + h)
+                    if (square <= radius * radius) != inside[i]:
+                        sign = -1.0 if inside[i] else 1.0
+                        xx, xy, xz = xx + sign * u * u, xy + sign * u * v, xz + sign * u * w
+                        yy, yz, zz = yy + sign * v * v, yz + sign * v * w, zz + sign * w * w
+                        x, y, z, n = x + sign * u, y + sign * v, z + sign * w, n + sign
+                if n == 0.0:
+                    continue
+                xx += f * (2.0 * x + n * f)
+                xy += f * y + g * (x + n * f)
+                xz += f * z + h * (x + n * f)
+                yy += g * (2.0 * y + n * g)
+                yz += g * z + h * (y + n * g)
+                zz += h * (2.0 * z + n * h)
+                x, y, z = x + n * f, y + n * g, z + n * h
+                r = turns[s]
+                ax, ay, az = r[0, 0], r[0, 1], r[0, 2]
+                bx, by, bz = r[1, 0], r[1, 1], r[1, 2]
+                cx, cy, cz = r[2, 0], r[2, 1], r[2, 2]
+                ux, uy, uz = (
+                    xx * ax + xy * ay + xz * az,
+                    xy * ax + yy * ay + yz * az,
+                    xz * ax + yz * ay + zz * az,
+                )
+                vx, vy, vz = (
+                    xx * bx + xy * by + xz * bz,
+                    xy * bx + yy * by + yz * bz,
+                    xz * bx + yz * by + zz * bz,
+                )
+                wx, wy, wz = (
+                    xx * cx + xy * cy + xz * cz,
+                    xy * cx + yy * cy + yz * cz,
+                    xz * cx + yz * cy + zz * cz,
+                )
+                txx += ax * ux + ay * uy + az * uz
+                txy += ax * vx + ay * vy + az * vz
+                txz += ax * wx + ay * wy + az * wz
+                tyy += bx * vx + by * vy + bz * vz
+                tyz += bx * wx + by * wy + bz * wz
+                tzz += cx * wx + cy * wy + cz * wz
+                tx += ax * x + ay * y + az * z
+                ty += bx * x + by * y + bz * z
+                tz += cx * x + cy * y + cz * z
+                total += n
+            if not near[c]:
+                break
+            share = 1.0 / max(total, 1.0)
+            tx, ty, tz = tx * share, ty * share, tz * share
+            found[0, c, q] = txx * share - tx * tx
+            found[1, c, q] = txy * share - tx * ty
+            found[2, c, q] = txz * share - tx * tz
+            found[3, c, q] = tyy * share - ty * ty
+            found[4, c, q] = tyz * share - ty * tz
+            found[5, c, q] = tzz * share - tz * tz
+    return found, near
