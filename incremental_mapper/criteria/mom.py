@@ -16,8 +16,14 @@ from scipy.spatial import KDTree
 from incremental_mapper.compiled import kernel
 from incremental_mapper.config import MomSettings
 from incremental_mapper.criteria.eigen import full_matrices, smallest_eigen
-from incremental_mapper.criteria.moments import COUNT, covariances, sum_products
-from incremental_mapper.criteria.neighbourhoods import Rim, find_rim, make_grid, moments_of_parts
+from incremental_mapper.criteria.moments import covariances, sum_products
+from incremental_mapper.criteria.neighbourhoods import (
+    Rim,
+    find_rim,
+    make_grid,
+    moments_of_parts,
+    shared_neighbourhoods,
+)
 from incremental_mapper.criteria.planes import orthogonal_families, spread_positions
 from incremental_mapper.criteria.shell import ROUNDING, largest_drifts, moved_covariances
 
@@ -82,15 +88,13 @@ def choose_judges(scene: Scene, settings: MomSettings) -> Judges | None:
     queries, scan = points.take(seeds, axis=0), np.searchsorted(bounds, seeds, side='right') - 1
     grid = make_grid(points, bounds, settings.radius)
     parts = moments_of_parts(grid, queries, settings.radius, len(bounds) - 1)
-    total = parts.sum(axis=1)
     # Alone, a scan has the same planes at any pose.
-    shared = total[:, COUNT] > parts[np.arange(len(seeds)), scan, COUNT]
-    chosen = np.flatnonzero(shared & (total[:, COUNT] >= settings.min_neighbours))
-    found = smallest_eigen(covariances(total[chosen].T))
+    chosen, spread = shared_neighbourhoods(parts, scan, settings.min_neighbours)
+    found = smallest_eigen(spread)
     planar = np.flatnonzero(found.middle > settings.eigenvalue_ratio * found.values)
     if len(planar) == 0:
         return None
-    families = orthogonal_families(found.vectors.take(planar, axis=1).T, settings.max_angle)
+    families = orthogonal_families(found.vectors.take(planar, axis=1), settings.max_angle)
     labels, counted, name = _count_families(families.labels, settings)
     kept = _thin_families(labels, counted, settings.max_points)
     chosen, labels = chosen[planar[kept]], labels[kept]
@@ -181,25 +185,31 @@ def _placed(scene: Scene, bounds: NDArray[np.int64]) -> NDArray[np.float64]:
     """As ``_place`` at the reference; scan s has the points bounds[s] to bounds[s + 1]."""
     points = np.empty((bounds[-1], 3))
     np.concatenate([scene.fixed, *scene.moving], out=points)
-    poses = np.empty((len(bounds) - 1, 4, 4))
-    poses[0], poses[1:] = np.eye(4), scene.poses[0]
-    poses[:, :3, 3] -= scene.origin
-    _move(points, bounds, poses)
+    _move(points, bounds, scene.poses[0].copy(), scene.origin)
     return points
 
 
 @kernel
 def _move(
-    points: NDArray[np.float64], bounds: NDArray[np.int64], poses: NDArray[np.float64]
+    points: NDArray[np.float64],
+    bounds: NDArray[np.int64],
+    poses: NDArray[np.float64],
+    origin: NDArray[np.float64],
 ) -> None:
-    """Move the ``points`` (N, 3) of every scan by its pose (1 + S, 4, 4), in place."""
+    """Move the ``points`` (N, 3) of every scan by its pose (S, 4, 4), in place; see _placed."""
+    for i in range(bounds[1]):
+        for k in range(3):
+            points[i, k] -= origin[k]
     for s in range(len(poses)):
         m = poses[s]
-        for i in range(bounds[s], bounds[s + 1]):
+        r, t, a, b = m[0, 0], m[0, 1], m[0, 2], m[0, 3] - origin[0]
+        u, v, w, c = m[1, 0], m[1, 1], m[1, 2], m[1, 3] - origin[1]
+        e, f, g, d = m[2, 0], m[2, 1], m[2, 2], m[2, 3] - origin[2]
+        for i in range(bounds[s + 1], bounds[s + 2]):
             x, y, z = points[i, 0], points[i, 1], points[i, 2]
-            points[i, 0] = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]
-            points[i, 1] = m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]
-            points[i, 2] = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
+            points[i, 0] = r * x + t * y + a * z + b
+            points[i, 1] = u * x + v * y + w * z + c
+            points[i, 2] = e * x + f * y + g * z + d
 
 
 def _motions(scene: Scene, poses: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -207,13 +217,30 @@ def _motions(scene: Scene, poses: NDArray[np.float64]) -> NDArray[np.float64]:
 
     From where they stand at the reference, relative to the origin.
     """
-    reference = scene.poses[0]
-    turns = poses[:, :, :3, :3] @ np.swapaxes(reference[:, :3, :3], -1, -2)
-    motions = np.zeros((len(poses), len(reference) + 1, 4, 4))
-    motions[:, :, [0, 1, 2, 3], [0, 1, 2, 3]] = 1.0
-    motions[:, 1:, :3, :3] = turns
-    before, after = reference[:, :3, 3] - scene.origin, poses[:, :, :3, 3] - scene.origin
-    motions[:, 1:, :3, 3] = after - (turns @ before[:, :, None])[..., 0]
+    return _changes(np.ascontiguousarray(poses), scene.poses[0].copy(), scene.origin)
+
+
+@kernel
+def _changes(
+    poses: NDArray[np.float64], reference: NDArray[np.float64], origin: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """See _motions; ``reference`` (S, 4, 4)."""
+    count, scans = poses.shape[:2]
+    motions = np.zeros((count, scans + 1, 4, 4))
+    for c in range(count):
+        for i in range(4):
+            motions[c, 0, i, i] = 1.0
+        for s in range(scans):
+            pose, before, motion = poses[c, s], reference[s], motions[c, s + 1]
+            for i in range(3):
+                motion[i, 3] = pose[i, 3] - origin[i]
+                for j in range(3):
+                    turn = 0.0
+                    for k in range(3):
+                        turn += pose[i, k] * before[j, k]
+                    motion[i, j] = turn
+                    motion[i, 3] -= turn * (before[j, 3] - origin[j])
+            motion[3, 3] = 1.0
     return motions
 
 
@@ -235,5 +262,8 @@ def _thin_families(
     picks = []
     for family in counted:
         members = np.flatnonzero(labels == family)
-        picks.append(members[spread_positions(len(members), share)])
-    return np.sort(np.concatenate(picks))
+        few = len(members) <= share
+        picks.append(members if few else members[spread_positions(len(members), share)])
+    kept = np.concatenate(picks)
+    kept.sort()
+    return kept

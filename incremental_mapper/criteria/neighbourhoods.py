@@ -1,9 +1,10 @@
 """Which points lie around a query, and the moments that they have there.
 
 Every window asks once, and of points that stand elsewhere in the next window, so that building a
-tree does not pay. The points are sorted into cubes instead, by counting. The cubes are numbered
-periodically along each axis: points that are far from each other may share one, which costs a
-look at them, but however far the points spread there are about as many cubes as points.
+tree does not pay. The points are sorted into cubes instead, by counting. Along x and y the cubes
+are numbered periodically, and along z the outer layers take in what is beyond them: points that
+are far from each other may share a cube, which costs a look at them, but however far the points
+spread there are hardly more cubes than points.
 """
 
 from dataclasses import dataclass
@@ -17,21 +18,24 @@ from incremental_mapper.compiled import kernel
 MOST = 1e15
 """Numbers of cubes count exactly up to here; no point is further out."""
 
+SOME = 200
+"""Points that tell about how high the others are."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Grid:
-    """Points sorted into cubes of ``width`` metres.
+    """Points sorted into cubes.
 
     ``points`` (N, 3) in metres and their ``scan`` (N,) lie in the order of the cubes, those that
-    are not finite left out. Cube i has the points ``starts[i]`` to ``starts[i + 1]``;
-    ``masks`` (3,) are the numbers of cubes along the axes less one, each a power of two less one.
+    are not finite left out. Cube i has the points ``starts[i]`` to ``starts[i + 1]``; those above
+    each other follow one another. ``shape`` (5,) is the width of a cube in metres, the height
+    (in cubes) of the lowest layer, and the numbers of cubes along x, y, z less one.
     """
 
     points: NDArray[np.float64]
-    scan: NDArray[np.int64]
-    starts: NDArray[np.int64]
-    masks: NDArray[np.int64]
-    width: float
+    scan: NDArray[np.int32]
+    starts: NDArray[np.int32]
+    shape: tuple[float, float, int, int, int]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,12 +57,13 @@ def make_grid(points: NDArray[np.float64], bounds: NDArray[np.int64], width: flo
 
     ``width`` in metres is about the radius of the later searches.
     """
-    bits = max(len(points).bit_length(), 6)
+    bits = max(len(points).bit_length() - 1, 6)
     # The world is flat: fewer cubes are stacked than lie side by side.
     up = bits // 4
     across = (bits - up) // 2
-    masks = np.array([1 << (bits - up - across), 1 << across, 1 << up]) - 1
-    return Grid(*_sort(points, bounds, width, masks), masks, width)
+    masks = (1 << (bits - up - across)) - 1, (1 << across) - 1, (1 << up) - 1
+    placed, scan, starts, low = _sort(points, bounds, width, *masks)
+    return Grid(placed, scan, starts, (width, low, *masks))
 
 
 def moments_of_parts(
@@ -68,17 +73,25 @@ def moments_of_parts(
 
     About the query, whose points are near and so keep the moments exact.
     """
-    return _moments(
-        grid.points, grid.scan, grid.starts, grid.masks, grid.width, queries, radius, scans
-    )
+    return _moments(grid.points, grid.scan, grid.starts, grid.shape, queries, radius, scans)
+
+
+def shared_neighbourhoods(
+    parts: NDArray[np.float64], scan: NDArray[np.int64], least: int
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Which queries have at least so many points around, and some of another scan than their own.
+
+    ``parts`` (Q, S, 10) are the moments and ``scan`` (Q,) the queries' own scans. Comes with the
+    covariances (6, K) of the neighbourhoods, xx, xy, xz, yy, yz, zz.
+    """
+    return _shared(parts, scan, least)
 
 
 def find_rim(
     grid: Grid, queries: NDArray[np.float64], radius: float, reach: NDArray[np.float64]
 ) -> Rim:
     """Pairs whose distance is within ``reach`` (Q, S) metres, one for each scan, of ``radius``."""
-    places = (grid.points, grid.scan, grid.starts, grid.masks, grid.width)
-    return Rim(*_rim(*places, queries, radius, reach))
+    return Rim(*_rim(grid.points, grid.scan, grid.starts, grid.shape, queries, radius, reach))
 
 
 def moments_around(
@@ -96,29 +109,29 @@ def moments_around(
 
 @kernel
 def _sort(
-    points: NDArray[np.float64],
-    bounds: NDArray[np.int64],
-    width: float,
-    masks: NDArray[np.int64],
-) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
-    """Points, scans and starts of a Grid."""
-    mx, my, mz, scale = masks[0], masks[1], masks[2], 1.0 / width
-    cubes = np.empty(len(points), dtype=np.int64)
+    points: NDArray[np.float64], bounds: NDArray[np.int64], width: float, mx: int, my: int, mz: int
+) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.int32], float]:
+    """Points, scans and starts of a Grid, and the height of its lowest layer."""
+    scale, total, finite = 1.0 / width, 0.0, 0
+    for i in range(0, len(points), max(len(points) // SOME, 1)):
+        if abs(points[i, 2]) * scale < MOST:
+            total, finite = total + points[i, 2] * scale, finite + 1
+    low = floor(total / max(finite, 1)) - 0.5 * (mz + 1)
+    cubes = np.empty(len(points), dtype=np.int32)
     # Two places on, so that filling in the points makes the starts of the ends.
-    starts = np.zeros((mx + 1) * (my + 1) * (mz + 1) + 2, dtype=np.int64)
+    starts = np.zeros((mx + 1) * (my + 1) * (mz + 1) + 2, dtype=np.int32)
     for i in range(len(points)):
         x, y, z = points[i, 0] * scale, points[i, 1] * scale, points[i, 2] * scale
+        cubes[i] = -1
         if abs(x) + abs(y) + abs(z) < MOST:
             cube = ((int(floor(x)) & mx) * (my + 1) + (int(floor(y)) & my)) * (mz + 1)
-            cube += int(floor(z)) & mz
+            cube += min(max(int(floor(z - low)), 0), mz)
             cubes[i] = cube
             starts[cube + 2] += 1
-        else:
-            cubes[i] = -1
     for cube in range(2, len(starts)):
         starts[cube] += starts[cube - 1]
     placed = np.empty((starts[-1], 3))
-    scan = np.empty(starts[-1], dtype=np.int64)
+    scan = np.empty(starts[-1], dtype=np.int32)
     for own in range(len(bounds) - 1):
         for i in range(bounds[own], bounds[own + 1]):
             if cubes[i] >= 0:
@@ -127,120 +140,147 @@ def _sort(
                 placed[place, 0], placed[place, 1] = points[i, 0], points[i, 1]
                 placed[place, 2] = points[i, 2]
                 scan[place] = own
-    return placed, scan, starts[:-1]
+    return placed, scan, starts[:-1], low
 
 
 @kernel
-def _span(place: float, reach: float, width: float, mask: int) -> tuple[int, int]:
-    """First cube along an axis within ``reach`` of ``place``, and the one after the last."""
-    if not (abs(place) + reach) / width < MOST:
-        return 0, 0
-    first, last = int(floor((place - reach) / width)), int(floor((place + reach) / width))
+def _between(
+    points: NDArray[np.float64],
+    starts: NDArray[np.int32],
+    shape: tuple[float, float, int, int, int],
+    query: NDArray[np.float64],
+    least: float,
+    most: float,
+    near: NDArray[np.int32],
+) -> int:
+    """How many points are ``least`` to ``most`` metres from the query (3,); ``near`` names them."""
+    width, low, mx, my, mz = shape
+    a, b, c, scale = query[0], query[1], query[2], 1.0 / width
+    if not (abs(a) + abs(b) + abs(c) + most) * scale < MOST:
+        return 0
     # Once around, the cubes come again.
-    return first, min(last, first + mask) + 1
+    first_x, first_y = int(floor((a - most) * scale)), int(floor((b - most) * scale))
+    last_x = min(int(floor((a + most) * scale)), first_x + mx)
+    last_y = min(int(floor((b + most) * scale)), first_y + my)
+    # The lowest and the highest layer also have what is beyond them.
+    bottom = min(max(int(floor((c - most) * scale - low)), 0), mz)
+    top = min(max(int(floor((c + most) * scale - low)), 0), mz)
+    count = np.uint64(0)
+    for i in range(first_x, last_x + 1):
+        for j in range(first_y, last_y + 1):
+            row = ((i & mx) * (my + 1) + (j & my)) * (mz + 1)
+            # Unsigned, so that no index is taken for one from the end.
+            for n in range(np.uint64(starts[row + bottom]), np.uint64(starts[row + top + 1])):
+                x, y, z = points[n, 0] - a, points[n, 1] - b, points[n, 2] - c
+                square = x * x + y * y + z * z
+                # Without a branch, which could not be foreseen.
+                near[count] = n
+                count += np.uint64((least * least <= square) & (square <= most * most))
+    return np.int64(count)
 
 
 @kernel
 def _moments(
     points: NDArray[np.float64],
-    scan: NDArray[np.int64],
-    starts: NDArray[np.int64],
-    masks: NDArray[np.int64],
-    width: float,
+    scan: NDArray[np.int32],
+    starts: NDArray[np.int32],
+    shape: tuple[float, float, int, int, int],
     queries: NDArray[np.float64],
     radius: float,
     scans: int,
 ) -> NDArray[np.float64]:
     """See moments_of_parts."""
-    mx, my, mz = masks[0], masks[1], masks[2]
-    limit = radius * radius
+    near = np.empty(len(points) + 1, dtype=np.int32)
     sums = np.zeros((len(queries), scans, 10))
     for q in range(len(queries)):
-        a, b, c = queries[q, 0], queries[q, 1], queries[q, 2]
-        low_x, high_x = _span(a, radius, width, mx)
-        low_y, high_y = _span(b, radius, width, my)
-        low_z, high_z = _span(c, radius, width, mz)
-        for i in range(low_x, high_x):
-            for j in range(low_y, high_y):
-                row = ((i & mx) * (my + 1) + (j & my)) * (mz + 1)
-                for k in range(low_z, high_z):
-                    cube = row + (k & mz)
-                    for n in range(starts[cube], starts[cube + 1]):
-                        x, y, z = points[n, 0] - a, points[n, 1] - b, points[n, 2] - c
-                        if x * x + y * y + z * z <= limit:
-                            own = sums[q, scan[n]]
-                            own[0] += x * x
-                            own[1] += x * y
-                            own[2] += x * z
-                            own[3] += x
-                            own[4] += y * y
-                            own[5] += y * z
-                            own[6] += y
-                            own[7] += z * z
-                            own[8] += z
-                            own[9] += 1.0
+        query = queries[q]
+        for i in range(_between(points, starts, shape, query, 0.0, radius, near)):
+            n = near[i]
+            x, y, z = points[n, 0] - query[0], points[n, 1] - query[1], points[n, 2] - query[2]
+            own = sums[q, scan[n]]
+            own[0] += x * x
+            own[1] += x * y
+            own[2] += x * z
+            own[3] += x
+            own[4] += y * y
+            own[5] += y * z
+            own[6] += y
+            own[7] += z * z
+            own[8] += z
+            own[9] += 1.0
     return sums
+
+
+@kernel
+def _shared(
+    parts: NDArray[np.float64], scan: NDArray[np.int64], least: int
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """See shared_neighbourhoods."""
+    count, scans = parts.shape[:2]
+    chosen, spread, kept = np.empty(count, dtype=np.int64), np.empty((6, count)), 0
+    m = np.empty(10)
+    for q in range(count):
+        m[:] = 0.0
+        for s in range(scans):
+            for i in range(10):
+                m[i] += parts[q, s, i]
+        if not m[9] >= max(least, 1) or m[9] == parts[q, scan[q], 9]:
+            continue
+        m /= m[9]
+        spread[0, kept], spread[1, kept] = m[0] - m[3] * m[3], m[1] - m[3] * m[6]
+        spread[2, kept], spread[3, kept] = m[2] - m[3] * m[8], m[4] - m[6] * m[6]
+        spread[4, kept], spread[5, kept] = m[5] - m[6] * m[8], m[7] - m[8] * m[8]
+        chosen[kept] = q
+        kept += 1
+    return chosen[:kept].copy(), spread[:, :kept].copy()
 
 
 @kernel
 def _rim(
     points: NDArray[np.float64],
-    scan: NDArray[np.int64],
-    starts: NDArray[np.int64],
-    masks: NDArray[np.int64],
-    width: float,
+    scan: NDArray[np.int32],
+    starts: NDArray[np.int32],
+    shape: tuple[float, float, int, int, int],
     queries: NDArray[np.float64],
     radius: float,
     reach: NDArray[np.float64],
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_]]:
     """Starts, steps and insides of a Rim."""
-    mx, my, mz = masks[0], masks[1], masks[2]
     count, scans = reach.shape
+    near = np.empty(len(points) + 1, dtype=np.int32)
     bounds = np.zeros((count, scans + 1), dtype=np.int64)
-    near = np.empty(64, dtype=np.int64)  # the points of the pairs, as they are found
     places = np.empty(scans, dtype=np.int64)
+    apart, inside = np.empty((64, 3)), np.empty(64, dtype=np.bool_)
     done = 0
     for q in range(count):
-        a, b, c = queries[q, 0], queries[q, 1], queries[q, 2]
-        widest = 0.0
+        query, widest = queries[q], 0.0
         for s in range(scans):
             widest = max(widest, reach[q, s])
             places[s] = 0
-        begun = done
-        # Most pairs are too near or too far for any reach.
-        most = (radius + widest) * (radius + widest)
-        least = max(radius - widest, 0.0) * max(radius - widest, 0.0)
-        low_x, high_x = _span(a, radius + widest, width, mx)
-        low_y, high_y = _span(b, radius + widest, width, my)
-        low_z, high_z = _span(c, radius + widest, width, mz)
-        for i in range(low_x, high_x):
-            for j in range(low_y, high_y):
-                row = ((i & mx) * (my + 1) + (j & my)) * (mz + 1)
-                for k in range(low_z, high_z):
-                    cube = row + (k & mz)
-                    for n in range(starts[cube], starts[cube + 1]):
-                        x, y, z = points[n, 0] - a, points[n, 1] - b, points[n, 2] - c
-                        square = x * x + y * y + z * z
-                        if least <= square <= most:
-                            if abs(sqrt(square) - radius) <= reach[q, scan[n]]:
-                                if done == len(near):
-                                    longer = np.empty(2 * done, dtype=np.int64)
-                                    longer[:done] = near
-                                    near = longer
-                                near[done] = n
-                                places[scan[n]] += 1
-                                done += 1
-        bounds[q, 0] = begun
+        least, most = max(radius - widest, 0.0), radius + widest
+        found = _between(points, starts, shape, query, least, most, near)
+        kept = 0
+        for i in range(found):
+            n = near[i]
+            x, y, z = points[n, 0] - query[0], points[n, 1] - query[1], points[n, 2] - query[2]
+            if abs(sqrt(x * x + y * y + z * z) - radius) <= reach[q, scan[n]]:
+                near[kept] = n
+                places[scan[n]] += 1
+                kept += 1
+        if done + kept > len(inside):
+            longer, more = np.empty((2 * (done + kept), 3)), np.empty(2 * (done + kept), np.bool_)
+            longer[:done], more[:done] = apart[:done], inside[:done]
+            apart, inside = longer, more
+        bounds[q, 0] = done
         for s in range(scans):
             bounds[q, s + 1] = bounds[q, s] + places[s]
-    apart, inside = np.empty((done, 3)), np.empty(done, dtype=np.bool_)
-    for q in range(count):
-        places[:] = bounds[q, :-1]
-        for i in range(bounds[q, 0], bounds[q, scans]):
+            places[s] = bounds[q, s]
+        for i in range(kept):
             n = near[i]
+            x, y, z = points[n, 0] - query[0], points[n, 1] - query[1], points[n, 2] - query[2]
             place = places[scan[n]]
             places[scan[n]] += 1
-            x, y, z = points[n, 0] - queries[q, 0], points[n, 1] - queries[q, 1], points[n, 2] - queries[q, 2]
             apart[place, 0], apart[place, 1], apart[place, 2] = x, y, z
             inside[place] = x * x + y * y + z * z <= radius * radius
-    return bounds, apart, inside
+        done += kept
+    return bounds, apart[:done].copy(), inside[:done].copy()

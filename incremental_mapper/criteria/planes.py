@@ -1,12 +1,13 @@
 """Planar neighbourhoods and their three mutually orthogonal families (paper, MOM)."""
 
 from dataclasses import dataclass
-from math import sqrt
+from math import cos, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
 from incremental_mapper.compiled import kernel
+from incremental_mapper.criteria.eigen import smallest_eigen
 
 MAX_AXES = 100
 """Normals that are tried as an axis; more do not change which direction wins."""
@@ -21,20 +22,21 @@ class Families:
 
 
 def orthogonal_families(normals: NDArray[np.float64], max_angle: float) -> Families:
-    """Sort unit normals (K, 3) into three mutually orthogonal families.
+    """Sort unit normals (3, K) into three mutually orthogonal families.
 
     The first axis has the most normals within ``max_angle`` radians of it; the second is the
     one across it for which the second and third family together have the most.
     """
-    if len(normals) == 0:
+    count = normals.shape[1]
+    if count == 0:
         return Families(np.eye(3), np.zeros(0, dtype=np.int64))
-    limit = float(np.cos(max_angle))
-    rows = np.ascontiguousarray(normals.T)
-    trial = rows.take(spread_positions(len(normals), MAX_AXES), axis=1)
+    limit = cos(max_angle)
+    normals = np.ascontiguousarray(normals)
+    trial = normals.take(spread_positions(count, MAX_AXES), axis=1)
     # A normal and its opposite are the same axis, so the mean is taken of n nᵀ.
-    first = np.linalg.eigh(_most_alike(trial, rows, limit))[1][:, -1].copy()
-    axes = _axes(first, _some_across(first), trial, rows, limit)
-    return Families(axes, _labels(axes, rows, limit))
+    first = smallest_eigen(_most_alike(trial, normals, limit)).vectors[:, 0].copy()
+    axes = _axes(first, _some_across(first), trial, normals, limit)
+    return Families(axes, _labels(axes, normals, limit))
 
 
 def spread_positions(count: int, wanted: int) -> NDArray[np.int64]:
@@ -69,24 +71,26 @@ def _votes(x: float, y: float, z: float, normals: NDArray[np.float64], limit: fl
 def _most_alike(
     trial: NDArray[np.float64], normals: NDArray[np.float64], limit: float
 ) -> NDArray[np.float64]:
-    """Σ n nᵀ (3, 3) of the normals (3, K) that are alike that of ``trial`` (3, A) with the most."""
+    """−Σ n nᵀ (6, 1) of the normals (3, K) that are alike that of ``trial`` (3, A) with the most.
+
+    The matrix is xx, xy, xz, yy, yz, zz; its smallest eigenvalue has the normals' mean direction.
+    """
     best, most = 0, -1
     for a in range(trial.shape[1]):
         votes = _votes(trial[0, a], trial[1, a], trial[2, a], normals, limit)
         if votes > most:
             best, most = a, votes
     x, y, z = trial[0, best], trial[1, best], trial[2, best]
-    total = np.zeros((3, 3))
+    total = np.zeros((6, 1))
     for k in range(normals.shape[1]):
         u, v, w = normals[0, k], normals[1, k], normals[2, k]
         if abs(x * u + y * v + z * w) > limit:
-            total[0, 0] += u * u
-            total[1, 0] += u * v
-            total[2, 0] += u * w
-            total[1, 1] += v * v
-            total[2, 1] += v * w
-            total[2, 2] += w * w
-    total[0, 1], total[0, 2], total[1, 2] = total[1, 0], total[2, 0], total[2, 1]
+            total[0, 0] -= u * u
+            total[1, 0] -= u * v
+            total[2, 0] -= u * w
+            total[3, 0] -= v * v
+            total[4, 0] -= v * w
+            total[5, 0] -= w * w
     return total
 
 

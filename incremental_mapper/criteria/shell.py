@@ -95,30 +95,35 @@ def _largest_drifts(
 ) -> NDArray[np.float64]:
     """See largest_drifts."""
     count, scans = motions.shape[:2]
-    squares, largest = np.empty((len(queries), scans)), np.zeros((len(queries), scans))
-    steps, turns = np.empty((scans, 3, 4)), np.empty((scans, 3, 3))
+    x, y, z = queries[:, 0].copy(), queries[:, 1].copy(), queries[:, 2].copy()
+    ends = np.searchsorted(scan, np.arange(scans), side='right')
+    places = np.empty((3, len(scan)))
+    squares, largest = np.empty((scans, len(scan))), np.zeros((scans, len(scan)))
     for c in range(count):
-        own, near = -1, True
-        for q in range(len(queries)):
-            if scan[q] != own:
-                own = scan[q]
-                _against(motions[c], own, steps, turns)
-            x, y, z = queries[q, 0], queries[q, 1], queries[q, 2]
-            for s in range(scans):
-                m = steps[s]
-                f = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]
-                g = m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]
-                h = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
-                square = f * f + g * g + h * h
-                near &= square <= limit * limit  # NaN is not
-                squares[q, s] = square
-            if not near:
-                break
+        start = 0
+        for own in range(scans):
+            for k in range(3):
+                m = motions[c, own, k]
+                r, t, u, v = m[0], m[1], m[2], m[3]
+                for q in range(start, ends[own]):
+                    places[k, q] = r * x[q] + t * y[q] + u * z[q] + v
+            start = ends[own]
+        near = True
+        for s in range(scans):
+            squares[s] = 0.0
+            for k in range(3):
+                m = motions[c, s, k]
+                r, t, u, v = m[0], m[1], m[2], m[3]
+                for q in range(len(scan)):
+                    step = (r * x[q] + t * y[q] + u * z[q] + v) - places[k, q]
+                    squares[s, q] += step * step
+            for q in range(len(scan)):
+                near &= squares[s, q] <= limit * limit  # NaN is not
         if near:
-            for q in range(len(queries)):
-                for s in range(scans):
-                    largest[q, s] = max(largest[q, s], squares[q, s])
-    return np.sqrt(largest)
+            for s in range(scans):
+                for q in range(len(scan)):
+                    largest[s, q] = max(largest[s, q], squares[s, q])
+    return np.sqrt(largest).T.copy()
 
 
 @kernel
