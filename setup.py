@@ -45,6 +45,7 @@ setup(
         'annotated-types>=0.6',
         'gtsam>=4.3',
         'kiss-icp>=1.3',
+        'numba>=0.60',
         'numpy>=1.26',
         'pydantic>=2.6',
         'pymap3d>=3.1',

@@ -52,8 +52,12 @@ def _by_rotations(
     xx: float, xy: float, xz: float, yy: float, yz: float, zz: float
 ) -> tuple[float, float, float, float, float]:
     """Smallest and middle eigenvalue, and the first's unit vector, of one matrix."""
-    a = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    axes = np.eye(3)
+    a, axes = np.empty((3, 3)), np.zeros((3, 3))
+    a[0, 0], a[1, 1], a[2, 2] = xx, yy, zz
+    a[0, 1] = a[1, 0] = xy
+    a[0, 2] = a[2, 0] = xz
+    a[1, 2] = a[2, 1] = yz
+    axes[0, 0] = axes[1, 1] = axes[2, 2] = 1.0
     for _ in range(SWEEPS):
         off = a[0, 1] * a[0, 1] + a[0, 2] * a[0, 2] + a[1, 2] * a[1, 2]
         if off <= 1e-36 * (a[0, 0] * a[0, 0] + a[1, 1] * a[1, 1] + a[2, 2] * a[2, 2]):
@@ -104,9 +108,7 @@ def _smallest(
         xx, yy, zz, mean = xx - rest, yy - rest, zz - rest, mean + rest
         variance = (xx * xx + yy * yy + zz * zz + 2.0 * (xy * xy + xz * xz + yz * yz)) / 6.0
         spread = sqrt(variance)
-        determinant = (
-            xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
-        )
+        determinant = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
         cosine = 0.5 * determinant / max(variance * spread, TINY)
         angle = acos(min(max(cosine, -1.0), 1.0)) / 3.0
         least = 2.0 * spread * cos(angle + 2.0 * pi / 3.0)

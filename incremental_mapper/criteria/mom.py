@@ -57,9 +57,9 @@ class Judges:
     ``points`` (P, 3) stand at the reference, relative to the origin; ``scan`` (P,), ascending, says
     whose they are: 0 the fixed points, then the moving scans. ``parts`` (P, 1 + S, 10) are the
     moments of each scan's part of a neighbourhood, at the reference and about the point. They hold
-    under any candidate that drifts by no more than ``reach`` (P, 1 + S) metres, but for the ``rim``.
-    ``weights`` (P,) of the judges make the mean over families of the mean in each; ``families``
-    are those that count, and ``family`` (P,) is 0, 1 or 2.
+    under any candidate that drifts by no more than ``reach`` (P, 1 + S) metres, but for the
+    ``rim``. ``weights`` (P,) of the judges make the mean over families of the mean in each;
+    ``families`` are those that count, and ``family`` (P,) is 0, 1 or 2.
     """
 
     points: NDArray[np.float64]
@@ -114,6 +114,19 @@ def choose_judges(scene: Scene, settings: MomSettings) -> Judges | None:
         weights=1.0 / (np.bincount(labels)[labels] * len(counted)),
         score_name=name,
     )
+
+
+def warm_up() -> None:
+    """Compile all that scoring needs, or load it from disk, so that no window waits for that."""
+    side = 0.4 * np.arange(20.0)
+    x, y = (grid.ravel() for grid in np.meshgrid(side, side))
+    floor = np.stack([x, y, 0.01 * np.cos(9.0 * x)], axis=1)
+    poses = np.tile(np.eye(4), (2, 2, 1, 1))
+    poses[1, 0, 0, 3] = 0.1
+    scene = Scene(floor, [floor, floor], poses, 1, np.zeros(3))
+    judges = choose_judges(scene, MomSettings())
+    assert judges is not None  # the floor is flat
+    fast_scores(judges, poses, scene, MomSettings())
 
 
 def fast_scores(
@@ -185,7 +198,7 @@ def _placed(scene: Scene, bounds: NDArray[np.int64]) -> NDArray[np.float64]:
     """As ``_place`` at the reference; scan s has the points bounds[s] to bounds[s + 1]."""
     points = np.empty((bounds[-1], 3))
     np.concatenate([scene.fixed, *scene.moving], out=points)
-    _move(points, bounds, scene.poses[0].copy(), scene.origin)
+    _move(points, bounds, scene.poses[0].copy(), scene.origin.copy())
     return points
 
 
@@ -217,7 +230,8 @@ def _motions(scene: Scene, poses: NDArray[np.float64]) -> NDArray[np.float64]:
 
     From where they stand at the reference, relative to the origin.
     """
-    return _changes(np.ascontiguousarray(poses), scene.poses[0].copy(), scene.origin)
+    # Copies, because an array that cannot be written to would be another type to compile for.
+    return _changes(poses.copy(), scene.poses[0].copy(), scene.origin.copy())
 
 
 @kernel
@@ -225,7 +239,7 @@ def _changes(
     poses: NDArray[np.float64], reference: NDArray[np.float64], origin: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """See _motions; ``reference`` (S, 4, 4)."""
-    count, scans = poses.shape[:2]
+    count, scans = poses.shape[0], poses.shape[1]
     motions = np.zeros((count, scans + 1, 4, 4))
     for c in range(count):
         for i in range(4):

@@ -63,7 +63,7 @@ def make_grid(points: NDArray[np.float64], bounds: NDArray[np.int64], width: flo
     across = (bits - up) // 2
     masks = (1 << (bits - up - across)) - 1, (1 << across) - 1, (1 << up) - 1
     placed, scan, starts, low = _sort(points, bounds, width, *masks)
-    return Grid(placed, scan, starts, (width, low, *masks))
+    return Grid(placed, scan, starts[:-1], (width, low, *masks))
 
 
 def moments_of_parts(
@@ -84,22 +84,26 @@ def shared_neighbourhoods(
     ``parts`` (Q, S, 10) are the moments and ``scan`` (Q,) the queries' own scans. Comes with the
     covariances (6, K) of the neighbourhoods, xx, xy, xz, yy, yz, zz.
     """
-    return _shared(parts, scan, least)
+    chosen, spread, kept = _shared(parts, scan, least)
+    return chosen[:kept], spread[:, :kept]
 
 
 def find_rim(
     grid: Grid, queries: NDArray[np.float64], radius: float, reach: NDArray[np.float64]
 ) -> Rim:
     """Pairs whose distance is within ``reach`` (Q, S) metres, one for each scan, of ``radius``."""
-    return Rim(*_rim(grid.points, grid.scan, grid.starts, grid.shape, queries, radius, reach))
+    starts, apart, inside, count = _rim(
+        grid.points, grid.scan, grid.starts, grid.shape, queries, radius, reach
+    )
+    return Rim(starts, apart[:count], inside[:count])
 
 
 def moments_around(
     points: NDArray[np.float64], places: NDArray[np.float64], radius: float
 ) -> NDArray[np.float64]:
-    """Moments (10, P), about the place, of ``points`` (N, 3) within ``radius`` of ``places`` (P, 3).
+    """Moments (10, P) of the ``points`` (N, 3) within ``radius`` metres of ``places`` (P, 3).
 
-    All in metres.
+    About the place itself.
     """
     points = np.ascontiguousarray(points, dtype=np.float64)
     grid = make_grid(points, np.array([0, len(points)]), radius)
@@ -111,7 +115,7 @@ def moments_around(
 def _sort(
     points: NDArray[np.float64], bounds: NDArray[np.int64], width: float, mx: int, my: int, mz: int
 ) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.int32], float]:
-    """Points, scans and starts of a Grid, and the height of its lowest layer."""
+    """Points, scans and starts (and one more) of a Grid, and the height of its lowest layer."""
     scale, total, finite = 1.0 / width, 0.0, 0
     for i in range(0, len(points), max(len(points) // SOME, 1)):
         if abs(points[i, 2]) * scale < MOST:
@@ -124,8 +128,8 @@ def _sort(
         x, y, z = points[i, 0] * scale, points[i, 1] * scale, points[i, 2] * scale
         cubes[i] = -1
         if abs(x) + abs(y) + abs(z) < MOST:
-            cube = ((int(floor(x)) & mx) * (my + 1) + (int(floor(y)) & my)) * (mz + 1)
-            cube += min(max(int(floor(z - low)), 0), mz)
+            cube = ((floor(x) & mx) * (my + 1) + (floor(y) & my)) * (mz + 1)
+            cube += min(max(floor(z - low), 0), mz)
             cubes[i] = cube
             starts[cube + 2] += 1
     for cube in range(2, len(starts)):
@@ -140,7 +144,7 @@ def _sort(
                 placed[place, 0], placed[place, 1] = points[i, 0], points[i, 1]
                 placed[place, 2] = points[i, 2]
                 scan[place] = own
-    return placed, scan, starts[:-1], low
+    return placed, scan, starts, low
 
 
 @kernel
@@ -159,12 +163,12 @@ def _between(
     if not (abs(a) + abs(b) + abs(c) + most) * scale < MOST:
         return 0
     # Once around, the cubes come again.
-    first_x, first_y = int(floor((a - most) * scale)), int(floor((b - most) * scale))
-    last_x = min(int(floor((a + most) * scale)), first_x + mx)
-    last_y = min(int(floor((b + most) * scale)), first_y + my)
+    first_x, first_y = floor((a - most) * scale), floor((b - most) * scale)
+    last_x = min(floor((a + most) * scale), first_x + mx)
+    last_y = min(floor((b + most) * scale), first_y + my)
     # The lowest and the highest layer also have what is beyond them.
-    bottom = min(max(int(floor((c - most) * scale - low)), 0), mz)
-    top = min(max(int(floor((c + most) * scale - low)), 0), mz)
+    bottom = min(max(floor((c - most) * scale - low), 0), mz)
+    top = min(max(floor((c + most) * scale - low), 0), mz)
     count = np.uint64(0)
     for i in range(first_x, last_x + 1):
         for j in range(first_y, last_y + 1):
@@ -176,7 +180,7 @@ def _between(
                 # Without a branch, which could not be foreseen.
                 near[count] = n
                 count += np.uint64((least * least <= square) & (square <= most * most))
-    return np.int64(count)
+    return int(count)
 
 
 @kernel
@@ -214,25 +218,28 @@ def _moments(
 @kernel
 def _shared(
     parts: NDArray[np.float64], scan: NDArray[np.int64], least: int
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """See shared_neighbourhoods."""
-    count, scans = parts.shape[:2]
+) -> tuple[NDArray[np.int64], NDArray[np.float64], int]:
+    """See shared_neighbourhoods; what is behind the first so many is void."""
+    count, scans = parts.shape[0], parts.shape[1]
     chosen, spread, kept = np.empty(count, dtype=np.int64), np.empty((6, count)), 0
     m = np.empty(10)
     for q in range(count):
-        m[:] = 0.0
+        total = 0.0
         for s in range(scans):
-            for i in range(10):
-                m[i] += parts[q, s, i]
-        if not m[9] >= max(least, 1) or m[9] == parts[q, scan[q], 9]:
+            total += parts[q, s, 9]
+        if not total >= max(least, 1) or total == parts[q, scan[q], 9]:
             continue
-        m /= m[9]
+        for i in range(10):
+            m[i] = 0.0
+            for s in range(scans):
+                m[i] += parts[q, s, i]
+            m[i] /= total
         spread[0, kept], spread[1, kept] = m[0] - m[3] * m[3], m[1] - m[3] * m[6]
         spread[2, kept], spread[3, kept] = m[2] - m[3] * m[8], m[4] - m[6] * m[6]
         spread[4, kept], spread[5, kept] = m[5] - m[6] * m[8], m[7] - m[8] * m[8]
         chosen[kept] = q
         kept += 1
-    return chosen[:kept].copy(), spread[:, :kept].copy()
+    return chosen, spread, kept
 
 
 @kernel
@@ -244,8 +251,8 @@ def _rim(
     queries: NDArray[np.float64],
     radius: float,
     reach: NDArray[np.float64],
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_]]:
-    """Starts, steps and insides of a Rim."""
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_], int]:
+    """Starts, steps and insides of a Rim, and its size: what is behind it is void."""
     count, scans = reach.shape
     near = np.empty(len(points) + 1, dtype=np.int32)
     bounds = np.zeros((count, scans + 1), dtype=np.int64)
@@ -269,7 +276,9 @@ def _rim(
                 kept += 1
         if done + kept > len(inside):
             longer, more = np.empty((2 * (done + kept), 3)), np.empty(2 * (done + kept), np.bool_)
-            longer[:done], more[:done] = apart[:done], inside[:done]
+            for i in range(done):
+                longer[i, 0], longer[i, 1], longer[i, 2] = apart[i, 0], apart[i, 1], apart[i, 2]
+                more[i] = inside[i]
             apart, inside = longer, more
         bounds[q, 0] = done
         for s in range(scans):
@@ -283,4 +292,4 @@ def _rim(
             apart[place, 0], apart[place, 1], apart[place, 2] = x, y, z
             inside[place] = x * x + y * y + z * z <= radius * radius
         done += kept
-    return bounds, apart[:done].copy(), inside[:done].copy()
+    return bounds, apart, inside, done

@@ -108,7 +108,9 @@ def _axes(
     none of them is.
     """
     x, y, z = first[0], first[1], first[2]
-    best, most = spare, -1
+    axes, most = np.empty((3, 3)), -1
+    for k in range(3):
+        axes[0, k], axes[1, k] = first[k], spare[k]
     for a in range(trial.shape[1]):
         along = x * trial[0, a] + y * trial[1, a] + z * trial[2, a]
         u, v, w = trial[0, a] - along * x, trial[1, a] - along * y, trial[2, a] - along * z
@@ -118,10 +120,9 @@ def _axes(
             votes = _votes(u, v, w, normals, limit)
             votes += _votes(y * w - z * v, z * u - x * w, x * v - y * u, normals, limit)
             if votes > most:
-                best, most = np.array([u, v, w]), votes
-    axes = np.empty((3, 3))
-    axes[0], axes[1] = first, best
-    u, v, w = best[0], best[1], best[2]
+                most = votes
+                axes[1, 0], axes[1, 1], axes[1, 2] = u, v, w
+    u, v, w = axes[1, 0], axes[1, 1], axes[1, 2]
     axes[2, 0], axes[2, 1], axes[2, 2] = y * w - z * v, z * u - x * w, x * v - y * u
     return axes
 
@@ -131,9 +132,9 @@ def _labels(
     axes: NDArray[np.float64], normals: NDArray[np.float64], limit: float
 ) -> NDArray[np.int64]:
     """The axis (K,) that is most alike each of the normals (3, K), -1 where none is alike."""
-    labels = np.full(normals.shape[1], -1)
+    labels = np.empty(normals.shape[1], dtype=np.int64)
     for k in range(normals.shape[1]):
-        most = limit
+        labels[k], most = -1, limit
         for axis in range(3):
             cosine = abs(
                 axes[axis, 0] * normals[0, k]

@@ -30,7 +30,10 @@ def largest_drifts(
     ``motions`` (C, S, 4, 4) are the D_s, ``queries`` (Q, 3) those of the scans ``scan`` (Q,). The
     other candidates would make rims that cost more than to search again for them alone.
     """
-    return _largest_drifts(np.ascontiguousarray(motions), queries, scan, limit)
+    rows = np.ascontiguousarray(queries.T)
+    ends = np.searchsorted(scan, np.arange(motions.shape[1]), side='right')
+    squares = _largest_squares(np.ascontiguousarray(motions), rows, ends, limit * limit)
+    return np.ascontiguousarray(np.sqrt(squares).T)
 
 
 def moved_covariances(
@@ -87,43 +90,54 @@ def _against(
 
 
 @kernel
-def _largest_drifts(
+def _largest_squares(
     motions: NDArray[np.float64],
     queries: NDArray[np.float64],
-    scan: NDArray[np.int64],
+    ends: NDArray[np.int64],
     limit: float,
 ) -> NDArray[np.float64]:
-    """See largest_drifts."""
-    count, scans = motions.shape[:2]
-    x, y, z = queries[:, 0].copy(), queries[:, 1].copy(), queries[:, 2].copy()
-    ends = np.searchsorted(scan, np.arange(scans), side='right')
-    places = np.empty((3, len(scan)))
-    squares, largest = np.empty((scans, len(scan))), np.zeros((scans, len(scan)))
+    """Largest squared drifts (S, Q) of the candidates whose squared drifts are within ``limit``.
+
+    The queries (3, Q) of scan s end before ends[s].
+    """
+    count, scans, size = motions.shape[0], motions.shape[1], queries.shape[1]
+    placed, squares = np.empty((3, size)), np.empty((scans, size))
+    largest = np.zeros((scans, size))
     for c in range(count):
         start = 0
-        for own in range(scans):
+        for s in range(scans):
             for k in range(3):
-                m = motions[c, own, k]
-                r, t, u, v = m[0], m[1], m[2], m[3]
-                for q in range(start, ends[own]):
-                    places[k, q] = r * x[q] + t * y[q] + u * z[q] + v
-            start = ends[own]
+                x, y, z, shift = (
+                    motions[c, s, k, 0],
+                    motions[c, s, k, 1],
+                    motions[c, s, k, 2],
+                    motions[c, s, k, 3],
+                )
+                for q in range(start, ends[s]):
+                    placed[k, q] = x * queries[0, q] + y * queries[1, q] + z * queries[2, q] + shift
+            start = ends[s]
         near = True
         for s in range(scans):
-            squares[s] = 0.0
+            for q in range(size):
+                squares[s, q] = 0.0
             for k in range(3):
-                m = motions[c, s, k]
-                r, t, u, v = m[0], m[1], m[2], m[3]
-                for q in range(len(scan)):
-                    step = (r * x[q] + t * y[q] + u * z[q] + v) - places[k, q]
+                x, y, z, shift = (
+                    motions[c, s, k, 0],
+                    motions[c, s, k, 1],
+                    motions[c, s, k, 2],
+                    motions[c, s, k, 3],
+                )
+                for q in range(size):
+                    step = x * queries[0, q] + y * queries[1, q] + z * queries[2, q] + shift
+                    step -= placed[k, q]
                     squares[s, q] += step * step
-            for q in range(len(scan)):
-                near &= squares[s, q] <= limit * limit  # NaN is not
+            for q in range(size):
+                near &= squares[s, q] <= limit  # NaN is not
         if near:
             for s in range(scans):
-                for q in range(len(scan)):
+                for q in range(size):
                     largest[s, q] = max(largest[s, q], squares[s, q])
-    return np.sqrt(largest).T.copy()
+    return largest
 
 
 @kernel
@@ -139,12 +153,12 @@ def _moved(
     radius: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """See moved_covariances; ``allowed`` (Q, S) are the squares of the reach."""
-    count, scans = motions.shape[:2]
+    count, scans = motions.shape[0], motions.shape[1]
     found = np.zeros((6, count, len(queries)))
-    near = np.ones(count, dtype=np.bool_)
+    near = np.empty(count, dtype=np.bool_)
     steps, turns = np.empty((scans, 3, 4)), np.empty((scans, 3, 3))
     for c in range(count):
-        own = -1
+        own, near[c] = -1, True
         for q in range(len(queries)):
             if scan[q] != own:
                 own = scan[q]

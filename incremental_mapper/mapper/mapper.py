@@ -14,6 +14,7 @@ from incremental_mapper.candidates.search import by_time_shift
 from incremental_mapper.candidates.spans import ImuStamps
 from incremental_mapper.config import Config
 from incremental_mapper.criteria.criterion import strategy_plan
+from incremental_mapper.criteria.mom import warm_up
 from incremental_mapper.frontend.inertial import EMPTY_SERIES, preintegration_parameters
 from incremental_mapper.graph.belief import trimmed
 from incremental_mapper.graph.factors import Factor, pose_key
@@ -66,6 +67,8 @@ class Mapper:
         self._held: list[tuple[Window, Preparation]] = []
         self._effort = FULL
         self._front_end = FrontEnd(config)
+        if self._plan.scene:
+            warm_up()  # while the front end's processes start
         self._parameters = preintegration_parameters(config.preintegration, config.imu.matrix())
         self._imu_gap = round(config.preintegration.max_gap * NANOSECONDS)
         self._series = EMPTY_SERIES
