@@ -20,7 +20,8 @@ from incremental_mapper.criteria.mom import (
     fast_score,
     fast_scores,
 )
-from incremental_mapper.criteria.planes import orthogonal_families, spread_positions
+from incremental_mapper.criteria.neighbourhoods import Rim
+from incremental_mapper.criteria.planes import MAX_AXES, orthogonal_families, spread_positions
 
 SETTINGS = MomSettings()
 ORIGIN = np.array([300.0, -200.0, 20.0])
@@ -116,7 +117,7 @@ def score_by_brute_force(judges, poses, scene):
         motions.append(after @ np.linalg.inv(before))
     points = np.vstack(clouds)
     variances = []
-    for point, scan in zip(judges.points.T, judges.scan, strict=True):
+    for point, scan in zip(judges.points, judges.scan, strict=True):
         place = (motions[scan] @ np.append(point + scene.origin, 1.0))[:3]
         near = points[np.linalg.norm(points - place, axis=1) <= SETTINGS.radius]
         variances.append(np.linalg.eigvalsh(np.cov(near.T, bias=True))[0])
@@ -181,51 +182,52 @@ def test_candidate_that_the_judges_were_not_made_for_is_searched_again():
     assert fast == pytest.approx(direct, rel=1e-9)
 
 
+def test_candidate_that_need_not_be_exact_is_never_searched_again():
+    scene = jittered(room_scene(1), 3, 0.02, 1e-3)
+    judges = choose_judges(scene, SETTINGS)
+    stranger = moved(scene, (0.3, 0.2, -0.1), (0.01, 0.0, 0.02))
+    with without_search():
+        found = fast_scores(judges, stranger[None], scene, SETTINGS, exact=False)
+    direct = direct_score(judges, stranger, scene, SETTINGS)
+    assert found[0] != pytest.approx(direct, rel=1e-9)
+    assert found[0] == pytest.approx(direct, rel=0.5)
+
+
 def test_candidate_that_is_far_off_does_not_widen_the_search_for_the_others():
     scene = jittered(room_scene(1), 3, 0.02, 1e-3)
     lost = moved(scene, (40.0, 0.0, 0.0))
     wide = with_candidates(scene, *scene.poses[1:], lost)
     judges, alone = choose_judges(wide, SETTINGS), choose_judges(scene, SETTINGS)
-    assert len(judges.shell.judge) == len(alone.shell.judge)
+    assert len(judges.rim.inside) == len(alone.rim.inside) > 0
     fast = fast_scores(judges, wide.poses, wide, SETTINGS)
     direct = [direct_score(judges, one, wide, SETTINGS) for one in wide.poses]
     assert fast == pytest.approx(direct, rel=1e-9)
 
 
 def test_neighbours_that_come_or_go_change_the_score():
-    # The shell is looked at again: the moments of the reference alone would say otherwise.
+    # The rim is looked at again: the moments of the reference alone would say otherwise.
     scene = room_scene(1)
     poses = moved(scene, (0.05, 0.05, 0.05))
     scene = with_candidates(scene, poses)
     judges = choose_judges(scene, SETTINGS)
-    nothing = np.zeros(0, dtype=np.int64)
-    bare = replace(
-        judges,
-        shell=replace(
-            judges.shell,
-            judge=nothing,
-            scan=nothing,
-            points=np.zeros((3, 0)),
-            apart=np.zeros((3, 0)),
-            inside=nothing.astype(bool),
-        ),
-    )
+    rim = Rim(np.zeros_like(judges.rim.starts), np.zeros((0, 3)), np.zeros(0, dtype=bool))
+    bare = replace(judges, rim=rim)
     exact = direct_score(judges, poses, scene, SETTINGS)
     frozen = fast_score(bare, poses, scene, SETTINGS)
     assert frozen != pytest.approx(exact, rel=1e-6)
     assert frozen == pytest.approx(exact, rel=0.2)
 
 
-def test_pairs_of_one_scan_are_never_in_the_shell():
+def test_pairs_of_one_scan_are_never_in_the_rim():
     scene = jittered(room_scene(1), 5, 0.03, 1e-3)
     judges = choose_judges(scene, SETTINGS)
-    shell = judges.shell
-    assert len(shell.judge) > 100
-    assert (judges.scan[shell.judge] != shell.scan).all()
-    own = judges.reach[judges.scan, np.arange(judges.points.shape[1])]
-    assert own.tolist() == [0.0] * len(own)
+    every = np.arange(len(judges.points))
+    assert len(judges.rim.inside) > 100
+    starts = judges.rim.starts
+    assert (starts[every, judges.scan] == starts[every, judges.scan + 1]).all()
+    assert judges.reach[every, judges.scan].tolist() == [0.0] * len(every)
     alone = replace(scene, poses=scene.poses[:1])
-    assert len(choose_judges(alone, SETTINGS).shell.judge) == 0
+    assert len(choose_judges(alone, SETTINGS).rim.inside) == 0
 
 
 def test_judges_do_not_depend_on_the_other_candidates():
@@ -283,7 +285,7 @@ def test_few_planar_points_of_no_family_give_the_plane_variance():
     strict = MomSettings(min_family_points=100_000)
     judges = choose_judges(scene, strict)
     assert judges.score_name == 'plane_variance'
-    assert judges.points.shape[1] > 0
+    assert len(judges.points) > 0
     aligned = fast_score(judges, scene.poses[0], scene, SETTINGS)
     assert aligned < fast_score(judges, moved(scene, (0.2, 0.2, 0.2)), scene, SETTINGS)
 
@@ -366,7 +368,7 @@ def test_normals_of_three_orthogonal_walls_are_sorted_into_three_families(seed, 
     turn = Rotation.random(rng=rng).as_matrix()
     truth = np.repeat(np.arange(3), counts)
     normals = turn.T[truth] * rng.choice([-1, 1], size=(len(truth), 1))
-    found = orthogonal_families(normals, 0.2)
+    found = orthogonal_families(normals.T, 0.2)
     assert found.axes @ found.axes.T == pytest.approx(np.eye(3), abs=1e-9)
     for wall_number in range(3):
         labels = set(found.labels[truth == wall_number].tolist())
@@ -378,13 +380,39 @@ def test_normals_of_three_orthogonal_walls_are_sorted_into_three_families(seed, 
 def test_slanted_normals_belong_to_no_family():
     slanted = np.ones((4, 3)) / np.sqrt(3)
     normals = np.vstack([np.repeat(np.eye(3), 20, axis=0), slanted])
-    found = orthogonal_families(normals, 0.2)
+    found = orthogonal_families(normals.T, 0.2)
     assert found.labels[60:].tolist() == [-1] * 4
     assert (found.labels[:60] >= 0).all()
 
 
+@settings(deadline=None, max_examples=60)
+@given(st.integers(1, 150), st.floats(0.05, 1.2), st.integers(0, 10_000))
+def test_axes_have_the_most_votes_that_any_have(count, angle, seed):
+    normals = np.random.default_rng(seed).normal(size=(count, 3))
+    normals[::3] = np.eye(3)[seed % 3] + 0.1 * normals[::3]
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    found, limit = orthogonal_families(normals.T, angle), np.cos(angle)
+
+    def alike(axes):
+        return np.abs(axes @ normals.T) > limit
+
+    trial = normals[spread_positions(count, MAX_AXES)]
+    near = alike(trial)[alike(trial).sum(axis=1).argmax()]
+    mean = np.linalg.eigh(normals[near].T @ normals[near])[1][:, -1]
+    assert abs(mean @ found.axes[0]) == pytest.approx(1.0, abs=1e-9)
+    across = trial - np.outer(trial @ mean, mean)
+    across = across[np.linalg.norm(across, axis=1) > limit]
+    if len(across):
+        across /= np.linalg.norm(across, axis=1, keepdims=True)
+        votes = alike(across).sum(axis=1) + alike(np.cross(mean, across)).sum(axis=1)
+        assert alike(found.axes[1:]).sum() == votes.max()
+    assert found.axes @ found.axes.T == pytest.approx(np.eye(3), abs=1e-9)
+    best = np.abs(found.axes @ normals.T)
+    assert found.labels.tolist() == np.where(best.max(0) > limit, best.argmax(0), -1).tolist()
+
+
 def test_no_normal_makes_no_label():
-    assert len(orthogonal_families(np.zeros((0, 3)), 0.2).labels) == 0
+    assert len(orthogonal_families(np.zeros((3, 0)), 0.2).labels) == 0
 
 
 @given(st.integers(0, 500), st.integers(1, 100))
@@ -392,6 +420,32 @@ def test_spread_positions_are_distinct_and_within_reach(count, wanted):
     positions = spread_positions(count, wanted)
     assert len(positions) == min(count, wanted) == len(set(positions.tolist()))
     assert all(0 <= p < count for p in positions)
+
+
+def test_point_that_is_no_number_has_no_neighbour():
+    scene = room_scene(1)
+    bad = scene.moving[0].copy()
+    bad[1::50], bad[2::50, 1], bad[3::50, 2], bad[4::50] = np.nan, np.inf, -np.inf, 1e300
+    broken = replace(scene, moving=[bad, *scene.moving[1:]])
+    judges = choose_judges(broken, SETTINGS)
+    kept = [bad[(np.abs(bad) < 1e9).all(axis=1)], *scene.moving[1:]]
+    assert np.isfinite(judges.points).all()
+    fast = fast_score(judges, scene.poses[0], broken, SETTINGS)
+    direct = direct_score(judges, scene.poses[0], replace(scene, moving=kept), SETTINGS)
+    assert fast == pytest.approx(direct, rel=1e-9)
+
+
+def test_candidate_that_is_no_number_does_not_reach_into_the_others():
+    scene = jittered(room_scene(1), 3, 0.02, 1e-3)
+    nowhere = np.full_like(scene.poses[:1], np.nan)
+    judges = choose_judges(replace(scene, poses=np.vstack([scene.poses, nowhere])), SETTINGS)
+    assert judges.reach.tolist() == choose_judges(scene, SETTINGS).reach.tolist()
+    alone = fast_scores(judges, scene.poses, scene, SETTINGS).tolist()
+    for exact in (False, True):
+        poses = np.vstack([scene.poses, nowhere])
+        found = fast_scores(judges, poses, scene, SETTINGS, exact)
+        assert found[:-1].tolist() == alone
+        assert np.isnan(found[-1])
 
 
 @cache

@@ -19,6 +19,8 @@ CLOSE = 1e-4
 """(λ1 − λ0)(λ2 − λ0), over the variance of the eigenvalues, below which Jacobi takes over."""
 SWEEPS = 12
 """Rounds of rotations at the most; half as many make any matrix diagonal."""
+THIRD = 2.0 * pi / 3.0
+"""A third of a turn."""
 TINY = 2.3e-308
 """About the smallest normal number: what divides by more than this does not overflow to NaN."""
 
@@ -53,10 +55,13 @@ def _by_rotations(
 ) -> tuple[float, float, float, float, float]:
     """Smallest and middle eigenvalue, and the first's unit vector, of one matrix."""
     a, axes = np.empty((3, 3)), np.zeros((3, 3))
-    a[0, 0], a[1, 1], a[2, 2] = xx, yy, zz
-    a[0, 1] = a[1, 0] = xy
-    a[0, 2] = a[2, 0] = xz
-    a[1, 2] = a[2, 1] = yz
+    # Products of very small numbers would be zero.
+    scale = max(abs(xx), abs(yy), abs(zz), abs(xy), abs(xz), abs(yz))
+    scale = 1.0 if scale == 0.0 else scale
+    a[0, 0], a[1, 1], a[2, 2] = xx / scale, yy / scale, zz / scale
+    a[0, 1] = a[1, 0] = xy / scale
+    a[0, 2] = a[2, 0] = xz / scale
+    a[1, 2] = a[2, 1] = yz / scale
     axes[0, 0] = axes[1, 1] = axes[2, 2] = 1.0
     for _ in range(SWEEPS):
         off = a[0, 1] * a[0, 1] + a[0, 2] * a[0, 2] + a[1, 2] * a[1, 2]
@@ -87,7 +92,8 @@ def _by_rotations(
         if a[k, k] < a[least, least]:
             least = k
     second = min(a[(least + 1) % 3, (least + 1) % 3], a[(least + 2) % 3, (least + 2) % 3])
-    return a[least, least], second, axes[0, least], axes[1, least], axes[2, least]
+    first, second = scale * a[least, least], scale * second
+    return first, second, axes[0, least], axes[1, least], axes[2, least]
 
 
 @kernel
@@ -111,7 +117,7 @@ def _smallest(
         determinant = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
         cosine = 0.5 * determinant / max(variance * spread, TINY)
         angle = acos(min(max(cosine, -1.0), 1.0)) / 3.0
-        least = 2.0 * spread * cos(angle + 2.0 * pi / 3.0)
+        least = 2.0 * spread * cos(angle + THIRD)
         # The adjugate of A − λI is (λ1 − λ)(λ2 − λ) v vᵀ; its longest column is the safest.
         dx, dy, dz = xx - least, yy - least, zz - least
         ax, ay, az = dy * dz - yz * yz, dx * dz - xz * xz, dx * dy - xy * xy

@@ -139,7 +139,8 @@ def fast_scores(
     """MOM in m^2 (C,) of candidates with the moving scans at ``poses`` (C, S, 4, 4).
 
     The values are those of ``direct_score``. Candidates that drift beyond the judges' reach are
-    indeed searched again, unless ``exact`` is off: then they keep what neighbours they had there.
+    indeed searched again, unless ``exact`` is off: then they keep what neighbours they had there. A
+    candidate with poses that are not finite has the score NaN.
     """
     scores = np.empty(len(poses))
     for start in range(0, len(poses), BATCH):
@@ -155,7 +156,8 @@ def fast_scores(
         )
         variances = smallest_eigen(spread.reshape(6, -1)).values.reshape(len(some), -1)
         values = variances @ judges.weights
-        for far in np.flatnonzero(~near):
+        finite = np.isfinite(some).all(axis=(1, 2, 3))
+        for far in np.flatnonzero(~near & finite & exact):
             values[far] = direct_score(judges, some[far], scene, settings)
         scores[start : start + BATCH] = values
     return scores

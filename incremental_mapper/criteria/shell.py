@@ -49,7 +49,7 @@ def moved_covariances(
 
     ``motions`` (C, S, 4, 4) are the D_s; ``queries`` (Q, 3), ``scan`` (Q,), the moments ``parts``
     (Q, S, 10) and the ``rim`` are those of the reference. Also tells which candidates (C,) drift by
-    no more than ``reach`` (Q, S); the covariances of the others are void.
+    no more than ``reach`` (Q, S); the covariances of the others are NaN.
     """
     return _moved(
         np.ascontiguousarray(motions),
@@ -154,7 +154,7 @@ def _moved(
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """See moved_covariances; ``allowed`` (Q, S) are the squares of the reach."""
     count, scans = motions.shape[0], motions.shape[1]
-    found = np.zeros((6, count, len(queries)))
+    found = np.empty((6, count, len(queries)))
     near = np.empty(count, dtype=np.bool_)
     steps, turns = np.empty((scans, 3, 4)), np.empty((scans, 3, 3))
     for c in range(count):
@@ -233,4 +233,8 @@ def _moved(
             found[3, c, q] = tyy * share - ty * ty
             found[4, c, q] = tyz * share - ty * tz
             found[5, c, q] = tzz * share - tz * tz
+        if not near[c]:
+            for k in range(6):
+                for q in range(len(queries)):
+                    found[k, c, q] = np.nan
     return found, near

@@ -116,6 +116,5 @@ def _neighbourhoods(
     points: NDArray[np.float64], places: NDArray[np.float64], radius: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Numbers of neighbours (P,) and covariances (6, P) of ``places``."""
-    centre = places.mean(axis=0)  # near numbers keep the moments exact
-    moments = moments_around(points - centre, places - centre, radius)
+    moments = moments_around(points, places, radius)
     return moments[COUNT], covariances(moments)

@@ -1,0 +1,118 @@
+"""Compiled kernels: what they may call, what is compiled beforehand, and where the code is kept."""
+
+import importlib
+import os
+import pkgutil
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numba.core.dispatcher import Dispatcher
+
+from incremental_mapper import criteria
+from incremental_mapper.compiled import kernel
+
+MODULES = [
+    importlib.import_module(f'{criteria.__name__}.{item.name}')
+    for item in pkgutil.iter_modules(criteria.__path__)
+]
+KERNELS = [
+    item
+    for module in MODULES
+    for item in vars(module).values()
+    if isinstance(item, Dispatcher) and item.py_func.__module__ == module.__name__
+]
+PROGRAM = """
+import time
+from incremental_mapper.criteria.mom import warm_up
+started = time.perf_counter()
+warm_up()
+print(time.perf_counter() - started)
+"""
+
+
+def run(program, **environment):
+    package = Path(criteria.__path__[0]).parents[1]
+    done = subprocess.run(
+        [sys.executable, '-c', textwrap.dedent(program)],
+        env={**os.environ, 'PYTHONPATH': str(package), **environment},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_there_are_kernels():
+    assert len(KERNELS) > 10
+
+
+@pytest.mark.parametrize('item', KERNELS, ids=lambda item: item.py_func.__name__)
+def test_kernel_uses_its_own_file_only(item):
+    # The code on disk would not be made anew when another file changes.
+    own = item.py_func.__module__
+    for name in set(item.py_func.__code__.co_names):
+        value = item.py_func.__globals__.get(name)
+        if isinstance(value, Dispatcher):
+            assert value.py_func.__module__ == own, name
+        elif isinstance(value, int | float):
+            assert f'\n{name} = ' in Path(item.py_func.__code__.co_filename).read_text(), name
+
+
+def test_window_finds_everything_compiled():
+    # In a process of its own, where nothing else has been compiled.
+    out = run(f"""
+        import sys
+        sys.path.insert(0, {str(Path(__file__).parent)!r})
+        import test_compiled, test_mom
+        from incremental_mapper.criteria.mom import choose_judges, fast_scores, warm_up
+        def types():
+            return [(item.py_func.__name__, item.signatures) for item in test_compiled.KERNELS]
+        warm_up()
+        before = types()
+        scene = test_mom.jittered(test_mom.room_scene(1), 5, 0.05, 1e-3)
+        for given in (scene, test_mom.with_candidates(scene)):
+            given.poses.flags.writeable = given.origin.flags.writeable = False
+            judges = choose_judges(given, test_mom.SETTINGS)
+            fast_scores(judges, given.poses, given, test_mom.SETTINGS)
+            fast_scores(judges, given.poses[1:2], given, test_mom.SETTINGS, exact=False)
+        print(types() == before, sum(len(some) for _, some in before))
+    """)
+    same, compiled = out.split()
+    assert same == 'True'
+    assert int(compiled) > 8
+
+
+def test_code_is_kept_where_the_user_says(tmp_path):
+    cold = float(run(PROGRAM, NUMBA_CACHE_DIR=str(tmp_path)))
+    assert list(tmp_path.rglob('*.nbc'))
+    assert float(run(PROGRAM, NUMBA_CACHE_DIR=str(tmp_path))) < cold / 2
+
+
+def test_kernel_works_where_no_code_can_be_kept(monkeypatch):
+    def nowhere(*_args, **_options):
+        raise RuntimeError('cannot cache function: no locator available')
+
+    monkeypatch.setattr(Dispatcher, 'enable_caching', nowhere)
+
+    @kernel
+    def total(values):
+        found = 0.0
+        for value in values:
+            found += value
+        return found
+
+    assert isinstance(total, Dispatcher)
+    assert total(np.arange(4.0)) == 6.0
+
+
+def test_processes_of_lidars_do_not_load_the_compiler():
+    out = run("""
+        import sys
+        import incremental_mapper.mapper.scan_worker
+        print('numba' in sys.modules)
+    """)
+    assert out.split() == ['False']
