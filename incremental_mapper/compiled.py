@@ -6,6 +6,7 @@ not call kernels of other files, nor use their constants.
 """
 
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any, TypeVar, cast
 
 import numba
@@ -14,9 +15,18 @@ Function = TypeVar('Function', bound=Callable[..., Any])
 
 
 def kernel(function: Function) -> Function:
-    """Compile a function on its first call with arguments of some types; threads may overlap."""
-    try:
-        compiled = numba.njit(cache=True, nogil=True, error_model='numpy')(function)
-    except RuntimeError:  # no folder can be written to
-        compiled = numba.njit(nogil=True, error_model='numpy')(function)
+    """Compile a function on its first call with arguments of some types; threads may overlap.
+
+    Numbers follow IEEE 754: what is divided by zero is no error.
+    """
+    compiled: Any = numba.njit(nogil=True, error_model='numpy')(function)
+    with suppress(RuntimeError):  # no folder can be written to
+        compiled.enable_caching()
+        save = compiled._cache.save_overload
+
+        def save_if_possible(*args: Any) -> None:
+            with suppress(OSError):  # such as a full disk
+                save(*args)
+
+        compiled._cache.save_overload = save_if_possible
     return cast(Function, compiled)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numba.core.caching import FunctionCache
 from numba.core.dispatcher import Dispatcher
 
 from incremental_mapper import criteria
@@ -92,12 +93,7 @@ def test_code_is_kept_where_the_user_says(tmp_path):
     assert float(run(PROGRAM, NUMBA_CACHE_DIR=str(tmp_path))) < cold / 2
 
 
-def test_kernel_works_where_no_code_can_be_kept(monkeypatch):
-    def nowhere(*_args, **_options):
-        raise RuntimeError('cannot cache function: no locator available')
-
-    monkeypatch.setattr(Dispatcher, 'enable_caching', nowhere)
-
+def made():
     @kernel
     def total(values):
         found = 0.0
@@ -105,8 +101,25 @@ def test_kernel_works_where_no_code_can_be_kept(monkeypatch):
             found += value
         return found
 
-    assert isinstance(total, Dispatcher)
-    assert total(np.arange(4.0)) == 6.0
+    return total
+
+
+def test_kernel_works_where_no_folder_can_be_written_to(monkeypatch):
+    monkeypatch.setattr(FunctionCache._impl_class, '_locator_classes', [])
+    assert made()(np.arange(4.0)) == 6.0
+
+
+def test_kernel_works_where_the_disk_is_full(monkeypatch):
+    asked = []
+
+    def full(*args):
+        asked.append(args)
+        raise OSError(28, 'No space left on device')
+
+    monkeypatch.setattr(FunctionCache, 'save_overload', full)
+    monkeypatch.setattr(FunctionCache, 'load_overload', lambda *_: None)
+    assert made()(np.arange(4.0)) == 6.0
+    assert asked
 
 
 def test_processes_of_lidars_do_not_load_the_compiler():
