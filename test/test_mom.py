@@ -170,10 +170,11 @@ def test_scores_of_many_candidates_are_those_of_each(metres, radians):
     assert fast[5] == pytest.approx(brute, rel=1e-6)
 
 
-def test_candidate_that_the_judges_were_not_made_for_is_searched_again():
+@pytest.mark.parametrize('shift', [(0.3, 0.0, 0.0), (0.0, -0.3, 0.0), (0.0, 0.0, 0.3)])
+def test_candidate_that_the_judges_were_not_made_for_is_searched_again(shift):
     scene = jittered(room_scene(1), 3, 0.02, 1e-3)
     judges = choose_judges(scene, SETTINGS)
-    stranger = moved(scene, (0.3, 0.2, -0.1), (0.01, 0.0, 0.02))
+    stranger = moved(scene, shift)
     poses = np.stack([scene.poses[1], stranger, scene.poses[2]])
     with patch.object(mom, 'direct_score', wraps=direct_score) as search:
         fast = fast_scores(judges, poses, scene, SETTINGS)
