@@ -209,10 +209,10 @@ class SelectionSettings(Section):
     max_candidates: int = Field(default=1000, ge=1, le=1_000_000)
     """A window with more candidates than this is searched instead of enumerated."""
     beam_width: int = Field(default=8, ge=1, le=1000)
-    """Prefixes of every length that the search follows in a window of 20 measurements (mom,
-    min_solver_error); in a shorter window it follows more."""
+    """Prefixes of every length that the search follows (mom, min_solver_error)."""
     time_budget: float = Field(default=0.4, gt=0.0, le=600.0)
-    """Seconds after which the search of one window follows fewer prefixes."""
+    """Seconds that the search of one window may follow prefixes; half as many again may go into
+    changing single decisions of the best candidates."""
     direct: bool = False
     """Search the neighbourhoods again at every candidate's poses (slow, for verification)."""
     verify: bool = False

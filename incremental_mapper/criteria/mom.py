@@ -7,7 +7,7 @@ searches the neighbourhoods of each candidate again, by other means.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from incremental_mapper.config import MomSettings
 from incremental_mapper.criteria.eigen import full_matrices, smallest_eigen
 from incremental_mapper.criteria.moments import covariances, sum_products
 from incremental_mapper.criteria.neighbourhoods import (
+    Grid,
     Rim,
     find_rim,
     make_grid,
@@ -58,8 +59,9 @@ class Judges:
     whose they are: 0 the fixed points, then the moving scans. ``parts`` (P, 1 + S, 10) are the
     moments of each scan's part of a neighbourhood, at the reference and about the point. They hold
     under any candidate that drifts by no more than ``reach`` (P, 1 + S) metres, but for the
-    ``rim``. ``weights`` (P,) of the judges make the mean over families of the mean in each;
-    ``families`` are those that count, and ``family`` (P,) is 0, 1 or 2.
+    ``rim``; ``grid`` gives the rim for any other reach. ``weights`` (P,) of the judges make the
+    mean over families of the mean in each; ``families`` are those that count, and ``family`` (P,)
+    is 0, 1 or 2.
     """
 
     points: NDArray[np.float64]
@@ -67,6 +69,7 @@ class Judges:
     parts: NDArray[np.float64]
     reach: NDArray[np.float64]
     rim: Rim
+    grid: Grid
     family: NDArray[np.int64]
     families: tuple[int, ...]
     weights: NDArray[np.float64]
@@ -101,19 +104,32 @@ def choose_judges(scene: Scene, settings: MomSettings) -> Judges | None:
     queries, scan = queries.take(chosen, axis=0), scan[chosen]
     # The reference itself does not drift.
     motions = _motions(scene, scene.poses[1:])
-    # Candidates that drift further would make rims that cost more than to search again for them.
-    reach = largest_drifts(motions, queries, scan, settings.radius)
+    reach, rim = _reach(motions, queries, scan, grid, settings)
     return Judges(
         points=queries,
         scan=scan,
         parts=parts.take(chosen, axis=0),
         reach=reach,
-        rim=find_rim(grid, queries, settings.radius, reach + ROUNDING),
+        rim=rim,
+        grid=grid,
         family=labels,
         families=counted,
         weights=1.0 / (np.bincount(labels)[labels] * len(counted)),
         score_name=name,
     )
+
+
+def _reach(
+    motions: NDArray[np.float64],
+    queries: NDArray[np.float64],
+    scan: NDArray[np.int64],
+    grid: Grid,
+    settings: MomSettings,
+) -> tuple[NDArray[np.float64], Rim]:
+    """Reach and rim of queries (P, 3) of the scans (P,) for candidates (C, 1 + S, 4, 4)."""
+    # Candidates that drift further would make rims that cost more than to search again for them.
+    reach = largest_drifts(motions, queries, scan, settings.radius)
+    return reach, find_rim(grid, queries, settings.radius, reach + ROUNDING)
 
 
 def warm_up() -> None:
@@ -138,29 +154,42 @@ def fast_scores(
 ) -> NDArray[np.float64]:
     """MOM in m^2 (C,) of candidates with the moving scans at ``poses`` (C, S, 4, 4).
 
-    The values are those of ``direct_score``. Candidates that drift beyond the judges' reach are
-    indeed searched again, unless ``exact`` is off: then they keep what neighbours they had there. A
-    candidate with poses that are not finite has the score NaN.
+    The values are those of ``direct_score``. Candidates that drift by more than the radius are
+    indeed searched again, unless ``exact`` is off: then those beyond the judges' reach keep what
+    neighbours they had there. A candidate with poses that are not finite has the score NaN.
     """
     scores = np.empty(len(poses))
     for start in range(0, len(poses), BATCH):
         some = poses[start : start + BATCH]
-        spread, near = moved_covariances(
-            _motions(scene, some),
-            judges.points,
-            judges.scan,
-            judges.parts,
-            judges.rim,
-            judges.reach if exact else np.full_like(judges.reach, np.inf),
-            settings.radius,
-        )
-        variances = smallest_eigen(spread.reshape(6, -1)).values.reshape(len(some), -1)
-        values = variances @ judges.weights
-        finite = np.isfinite(some).all(axis=(1, 2, 3))
-        for far in np.flatnonzero(~near & finite & exact):
-            values[far] = direct_score(judges, some[far], scene, settings)
+        motions, finite = _motions(scene, some), np.isfinite(some).all(axis=(1, 2, 3))
+        values, near = _moved_scores(judges, motions, settings, exact)
+        far = np.flatnonzero(~near & finite & exact)
+        if len(far):
+            # The same judges with a longer reach are ready sooner than any search.
+            reach, rim = _reach(motions[far], judges.points, judges.scan, judges.grid, settings)
+            longer = replace(judges, reach=reach, rim=rim)
+            values[far], near = _moved_scores(longer, motions[far], settings)
+            for further in far[~near]:
+                values[further] = direct_score(judges, some[further], scene, settings)
         scores[start : start + BATCH] = values
     return scores
+
+
+def _moved_scores(
+    judges: Judges, motions: NDArray[np.float64], settings: MomSettings, exact: bool = True
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Scores (C,) of candidates (C, 1 + S, 4, 4), and which of them are within reach."""
+    spread, near = moved_covariances(
+        motions,
+        judges.points,
+        judges.scan,
+        judges.parts,
+        judges.rim,
+        judges.reach if exact else np.full_like(judges.reach, np.inf),
+        settings.radius,
+    )
+    variances = smallest_eigen(spread.reshape(6, -1)).values.reshape(len(motions), -1)
+    return variances @ judges.weights, near
 
 
 def fast_score(

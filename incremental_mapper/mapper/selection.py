@@ -28,10 +28,8 @@ from incremental_mapper.mapper.task import Task
 
 AT_ONCE = 6
 """Candidates that are solved between two looks at the clock."""
-PATIENCE = 15
+PATIENCE = 60
 """Candidates whose single decisions are changed in vain before a search ends."""
-FULL_LENGTH = 20
-"""Elements of the windows that ``selection.beam_width`` is meant for."""
 LOOKED_AT = 5000
 """Candidates after which the search for the least shifted connected one gives up."""
 
@@ -183,9 +181,7 @@ def _pool(
         return least, not least or bool(task.factors.components(least[-1]))
     found: list[Candidate] = []
     if plan.solve:
-        # Shorter windows take no longer than one of FULL_LENGTH with the width that is set.
-        width = selection.beam_width * max(FULL_LENGTH, len(task.parts)) // len(task.parts)
-        width = width if budget is None else min(width, budget)
+        width = min(selection.beam_width, budget or selection.beam_width)
         # The conventional graph takes part as well, first as in an enumeration: what is found is
         # never worse than it, and the map is judged at the same points.
         base = base_candidate(task.parts, task.head, task.imu)
@@ -239,10 +235,10 @@ def _refined(
 ) -> list[Candidate]:
     """Change single decisions of the best candidates until PATIENCE of them gave nothing better.
 
-    What is tried is added to ``proposals`` and ``scores``, and returned. Ends after half of the
-    time budget at the latest.
+    What is tried is added to ``proposals`` and ``scores``, and returned. Ends half a time budget
+    after the beam had to, at the latest.
     """
-    until = time.perf_counter() + selection.time_budget / 2.0
+    until = clock.began + 1.5 * selection.time_budget
     seen = {proposal.candidate for proposal, _ in proposals}
     added: list[Candidate] = []
     expanded: set[int] = set()
@@ -336,7 +332,7 @@ class _Clock:
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
-        self._last = time.perf_counter()
+        self._last = self.began = time.perf_counter()
 
     def lap(self, stage: str) -> float:
         """Charge the time since the last lap to a stage."""
