@@ -60,6 +60,15 @@ def test_scans_are_placed_by_their_poses():
     assert made[order[0]] == pytest.approx(wanted[order[1]], abs=2e-3)
 
 
+def test_points_out_of_range_and_not_finite_are_left_out():
+    points = np.array([[3.0, 4.0, 0.0], [30.0, 40.0, 0.0], [np.nan, 1.0, 1.0]], dtype=np.float32)
+    far = pose_matrix([500.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+    near = cloud.accumulate([(points, far)], 0.5, max_range=49.9)
+    assert near == pytest.approx(np.array([[503.0, 4.0, 0.0]]))
+    assert len(cloud.accumulate([(points, far)], 0.5, max_range=50.1)) == 2
+    assert len(cloud.accumulate([(points, far)], 0.5)) == 2
+
+
 def test_map_without_scans_is_empty():
     assert cloud.accumulate([], 0.2).shape == (0, 3)
 

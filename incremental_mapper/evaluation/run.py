@@ -155,7 +155,7 @@ def complete_stats(result: MapResult, drops: Drops, wall: float) -> dict[str, An
 
 def map_points(result: MapResult, config: Config) -> NDArray[np.float32]:
     """The map (N, 3) of a result, from the newest poses of its clusters."""
-    return accumulate(result.placed_scans(config.map.max_range), config.map.voxel_size)
+    return accumulate(result.placed_scans(), config.map.voxel_size, config.map.max_range)
 
 
 def versions() -> dict[str, str]:

@@ -64,12 +64,8 @@ class MapResult:
     rows: tuple[dict[str, Any], ...]
     stats: dict[str, Any] = field(default_factory=dict)
 
-    def placed_scans(
-        self, max_range: float
-    ) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float64]]]:
-        """Points (N, 3) in base_link within ``max_range`` metres, and T_map_base (4, 4)."""
+    def placed_scans(self) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float64]]]:
+        """Points (N, 3) in base_link and T_map_base (4, 4) of every scan."""
         for scan in self.scans:
-            points = scan.points
-            near = np.einsum('ij,ij->i', points, points) <= max_range**2
             pose = self.values.atPose3(pose_key(scan.cluster)).compose(scan.T_cluster_scan)
-            yield points[near], pose.matrix()
+            yield scan.points, pose.matrix()
