@@ -42,6 +42,8 @@ $(INSTALLED): setup.py setup.cfg pyproject.toml
 		'make PYTHON=python3.12' >&2; exit 1; }
 	@test -x $(BIN)/pip || $(PYTHON) -m venv --clear .venv
 	$(BIN)/python -m pip install --quiet --editable '.[ros,sim,report,test]'
+	@# Nobody need wait for the compiler later.
+	$(BIN)/python -c 'from incremental_mapper.criteria.mom import warm_up; warm_up()'
 	@touch $@
 
 demo: $(INSTALLED)

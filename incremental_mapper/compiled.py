@@ -5,13 +5,18 @@ It is made anew when the kernel's own file changes, which is all that is looked 
 not call kernels of other files, nor use their constants.
 """
 
-from collections.abc import Callable
-from contextlib import suppress
+import logging
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from threading import Timer
 from typing import Any, TypeVar, cast
 
 import numba
 
 Function = TypeVar('Function', bound=Callable[..., Any])
+
+LONG = 2.0
+"""Seconds after which somebody who waits is told why; loading takes a fraction of one."""
 
 
 def kernel(function: Function) -> Function:
@@ -30,3 +35,16 @@ def kernel(function: Function) -> Function:
 
         compiled._cache.save_overload = save_if_possible
     return cast(Function, compiled)
+
+
+@contextmanager
+def waiting() -> Iterator[None]:
+    """Log a warning if what is compiled inside was not kept on disk and takes long."""
+    text = 'compiling; this takes about 15 s and is needed once after an installation'
+    timer = Timer(LONG, logging.getLogger('incremental_mapper').warning, [text])
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()

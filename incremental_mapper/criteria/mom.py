@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from incremental_mapper.compiled import kernel
+from incremental_mapper.compiled import kernel, waiting
 from incremental_mapper.config import MomSettings
 from incremental_mapper.criteria.eigen import full_matrices, smallest_eigen
 from incremental_mapper.criteria.moments import covariances, sum_products
@@ -140,9 +140,10 @@ def warm_up() -> None:
     poses = np.tile(np.eye(4), (2, 2, 1, 1))
     poses[1, 0, 0, 3] = 0.1
     scene = Scene(floor, [floor, floor], poses, 1, np.zeros(3))
-    judges = choose_judges(scene, MomSettings())
-    assert judges is not None  # the floor is flat
-    fast_scores(judges, poses, scene, MomSettings())
+    with waiting():
+        judges = choose_judges(scene, MomSettings())
+        assert judges is not None  # the floor is flat
+        fast_scores(judges, poses, scene, MomSettings())
 
 
 def fast_scores(
