@@ -15,7 +15,7 @@ import numpy as np
 from scipy.linalg.lapack import dgeqrf, dtrtrs
 
 from incremental_mapper.graph.factors import cluster_of
-from incremental_mapper.graph.linear import Array, Layout, solve_scaled
+from incremental_mapper.graph.linear import Array, layout_of, solve_scaled
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,9 +23,10 @@ class Belief:
     """Frontier and followers, linear around ``values``.
 
     ``keys`` are the frontier's variables; what G(t) says of a tangent step δ (n,) of them is
-    ‖root · δ − rhs‖², with ``root`` (m, n) and ``rhs`` (m,). ``values`` are the newest estimates;
-    where the last solve converged they are the mean, and ``rhs`` is zero up to a constant.
-    ``followers`` move by ``slopes`` (f, n) · δ. ``values`` holds both kinds; ``clusters`` are the
+    ‖root · δ − rhs‖², with ``root`` (m, n) and ``rhs`` (m,). Where the last solve converged, the
+    newest estimates are the mean, and ``rhs`` is zero up to a constant. ``followers`` move by
+    ``slopes`` (f, n) · δ. ``base`` holds the frontier's newest estimates, and the followers before
+    they moved ``ahead`` (f,): there are many of them, and few are asked for. ``clusters`` are the
     cluster ids in it with their stamps (ns). ``healthy`` is False where the last window could not
     be solved and stays at its initial values.
     """
@@ -35,13 +36,29 @@ class Belief:
     rhs: Array = field(default_factory=lambda: np.zeros(0))
     followers: tuple[int, ...] = ()
     slopes: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    values: gtsam.Values = field(default_factory=gtsam.Values)
+    base: gtsam.Values = field(default_factory=gtsam.Values)
+    ahead: Array = field(default_factory=lambda: np.zeros(0))
     clusters: Mapping[int, int] = field(default_factory=dict)
     healthy: bool = True
 
+    @property
+    def values(self) -> gtsam.Values:
+        """The newest estimates of all variables."""
+        values = gtsam.Values(self.base)
+        values.update(self._moved(self.followers, self.ahead))
+        return values
+
+    def holder(self, key: int) -> gtsam.Values:
+        """Values that have the newest estimate of one variable, and maybe others' that are not."""
+        place = layout_of(self.followers).places.get(key)
+        return self.base if place is None else self._moved((key,), self.ahead[place])
+
+    def _moved(self, keys: tuple[int, ...], step: Array) -> gtsam.Values:
+        return self.base.extract(keys).retract(layout_of(keys).vector_values(step))
+
     def covariance(self, key: int) -> Array | None:
         """Marginal covariance (d, d) of a frontier variable; None where it is undetermined."""
-        layout = Layout(self.keys)
+        layout = layout_of(self.keys)
         columns = layout.columns([key])
         unit = np.zeros((layout.size, len(columns)))
         unit[columns, np.arange(len(columns))] = 1.0
@@ -55,9 +72,9 @@ def shrink(belief: Belief, keep: Collection[int], oldest: int) -> tuple[Belief, 
     Followers of clusters older than the stamp ``oldest`` (ns), of which nothing is kept, are let
     go: their final values come back beside the smaller belief.
     """
-    layout = Layout(belief.keys)
-    kept = tuple(key for key in layout.keys if key in keep)
-    dropped = tuple(key for key in layout.keys if key not in keep)
+    layout = layout_of(belief.keys)
+    kept = tuple(key for key in belief.keys if key in keep)
+    dropped = tuple(key for key in belief.keys if key not in keep)
     wanted = {cluster_of(key) for key in kept}
     first, last = layout.columns(dropped), layout.columns(kept)
     reduced, rest = triangle(belief.root[:, np.concatenate([first, last])], belief.rhs)
@@ -70,40 +87,42 @@ def shrink(belief: Belief, keep: Collection[int], oldest: int) -> tuple[Belief, 
     moves = np.vstack([belief.slopes[:, first] @ solved, solved])
     slopes, ahead = moves[:, :-1], moves[:, -1]
     slopes[: len(belief.slopes)] += belief.slopes[:, last]
-    followers = Layout([*belief.followers, *dropped])
-    gone_clusters = {
-        cluster
-        for cluster, stamp in belief.clusters.items()
-        if stamp < oldest and cluster not in wanted
-    }
-    values = belief.values.retract(followers.vector_values(ahead))
-    stays = [key for key in followers.keys if cluster_of(key) not in gone_clusters]
-    gone = values.extract([key for key in followers.keys if cluster_of(key) in gone_clusters])
-    if gone_clusters:
-        values = values.extract([*kept, *stays])
-        slopes = slopes[followers.columns(stays)]
+    ahead[: len(belief.ahead)] += belief.ahead
+    followers = (*belief.followers, *dropped)
     smaller = Belief(
         keys=kept,
         root=reduced[count:, count:],
         rhs=rest[count:],
-        followers=tuple(stays),
+        followers=followers,
         slopes=slopes,
-        values=values,
-        clusters={c: s for c, s in belief.clusters.items() if c not in gone_clusters},
+        base=belief.base,
+        ahead=ahead,
+        clusters=belief.clusters,
         healthy=belief.healthy,
     )
-    return smaller, gone
+    old = {
+        cluster
+        for cluster, stamp in belief.clusters.items()
+        if stamp < oldest and cluster not in wanted
+    }
+    if not old:
+        return smaller, gtsam.Values()
+    gone = trimmed(smaller, {key for key in followers if cluster_of(key) in old})
+    stays = trimmed(smaller, {key for key in followers if cluster_of(key) not in old})
+    left = {cluster: stamp for cluster, stamp in belief.clusters.items() if cluster not in old}
+    return replace(stays, clusters=left), gone.values.extract(gone.followers)
 
 
 def trimmed(belief: Belief, followers: Collection[int]) -> Belief:
     """The belief with no other followers than these."""
-    layout = Layout(belief.followers)
-    kept = [key for key in belief.followers if key in followers]
+    kept = tuple(key for key in belief.followers if key in followers)
+    rows = layout_of(belief.followers).columns(kept)
     return replace(
         belief,
-        followers=tuple(kept),
-        slopes=belief.slopes[layout.columns(kept)],
-        values=belief.values.extract([*belief.keys, *kept]),
+        followers=kept,
+        slopes=belief.slopes[rows],
+        base=belief.base.extract([*belief.keys, *kept]),
+        ahead=belief.ahead[rows],
     )
 
 

@@ -1,6 +1,7 @@
 """Beliefs that grow: by factors that are new, by what was solved already, or from a whole graph."""
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import replace
 
 import gtsam
 import numpy as np
@@ -26,13 +27,13 @@ def extend(
     """
     problem = Problem(belief, initial, max_iterations)
     solved = problem.solve(factors, initial.keys())
-    if solved is None:
-        values, cost = problem.values, np.inf
-        layout = Layout([*belief.keys, *initial.keys()])
-        system = linear_system(belief, layout, make_graph(factors), values)
-    else:
-        values, cost, system = solved.values, solved.cost, solved.linear()
-    return _larger(belief, system, system.layout.keys, values, clusters, solved is not None), cost
+    if solved is not None:
+        names = dict[int, int]()
+        return adopt(belief, solved, names, clusters), solved.cost
+    layout = Layout([*belief.keys, *initial.keys()])
+    system = linear_system(belief, layout, make_graph(factors), problem.values)
+    grown = _larger(belief, system, layout.keys, problem.values, clusters)
+    return replace(grown, healthy=False), np.inf
 
 
 def adopt(
@@ -42,27 +43,24 @@ def adopt(
 
     ``names`` are the keys that new variables get in place of those that they were solved under.
     """
-    system = solved.linear()
+    system, own = solved.linear(), solved.own()
     new = system.layout.keys[len(belief.keys) :]
-    own = solved.own()
-    values = own.extract(belief.keys)
-    followers = Layout(belief.followers)
-    step = belief.slopes @ system.total[: system.known]
-    moved = belief.values.extract(followers.keys).retract(followers.vector_values(step))
-    values.insert(moved)
+    base = gtsam.Values(belief.base)
+    base.update(own.extract(belief.keys))
     for key in new:
-        copy_value(own, key, values, names.get(key, key))
+        copy_value(own, key, base, names.get(key, key))
     renamed = (*belief.keys, *(names.get(key, key) for key in new))
-    return _larger(belief, system, renamed, values, clusters, healthy=True)
+    grown = _larger(belief, system, renamed, base, clusters)
+    step = belief.slopes @ system.total[: system.known]
+    return replace(grown, ahead=belief.ahead + step)
 
 
 def _larger(
     belief: Belief,
     system: System,
     keys: tuple[int, ...],
-    values: gtsam.Values,
+    base: gtsam.Values,
     clusters: Mapping[int, int],
-    healthy: bool,
 ) -> Belief:
     new = system.layout.size - belief.root.shape[1]
     root, rhs = system.stacked()
@@ -72,9 +70,9 @@ def _larger(
         rhs=rhs,
         followers=belief.followers,
         slopes=np.hstack([belief.slopes, np.zeros((len(belief.slopes), new))]),
-        values=values,
+        base=base,
+        ahead=belief.ahead,
         clusters={**belief.clusters, **clusters},
-        healthy=healthy,
     )
 
 
@@ -116,7 +114,8 @@ def belief_of(
         rhs=rhs,
         followers=followers,
         slopes=slopes,
-        values=values.extract(inside),
+        base=values.extract(inside),
+        ahead=np.zeros(len(slopes)),
         clusters={c: s for c, s in clusters.items() if c in newer},
     )
     return belief, values.extract(gone)

@@ -5,6 +5,7 @@ than GTSAM's elimination tree.
 """
 
 from collections.abc import Iterable
+from functools import lru_cache
 
 import gtsam
 import numpy as np
@@ -66,6 +67,12 @@ class Layout:
         for key, place in self.places.items():
             vectors.insert(key, step[place])
         return vectors
+
+
+@lru_cache(maxsize=64)
+def layout_of(keys: tuple[int, ...]) -> Layout:
+    """The layout of these variables; others may hold the same one, so nothing may be appended."""
+    return Layout(keys)
 
 
 class Cholesky:

@@ -8,7 +8,7 @@ import gtsam
 import numpy as np
 
 from incremental_mapper.graph.belief import Belief
-from incremental_mapper.graph.linear import POSE, Array, Indices, Layout
+from incremental_mapper.graph.linear import POSE, Array, Indices, Layout, layout_of
 from incremental_mapper.graph.solver import make_graph
 from incremental_mapper.graph.system import Prior, Rest, System
 
@@ -52,9 +52,9 @@ class Solved:
     @property
     def values(self) -> gtsam.Values:
         """All estimates, those of followers included."""
-        values, known = self.own(), self.system.known
-        moved = self.belief.slopes @ self.system.total[:known]
-        followed = self.belief.values.extract(self.followers.keys)
+        values, known, belief = self.own(), self.system.known, self.belief
+        moved = belief.ahead + belief.slopes @ self.system.total[:known]
+        followed = belief.base.extract(belief.followers)
         values.insert(followed.retract(self.followers.vector_values(moved)))
         return values
 
@@ -64,7 +64,7 @@ class Solved:
             return self.start.atPose3(key).retract(self.step[place])
         if (place := self.followers.places.get(key)) is not None:
             moved = self.belief.slopes[place] @ self.system.total[: self.system.known]
-            return self.belief.values.atPose3(key).retract(moved)
+            return self.belief.base.atPose3(key).retract(self.belief.ahead[place] + moved)
         return None
 
     def linear(self) -> System:
@@ -82,14 +82,14 @@ class Problem:
 
     def __init__(self, belief: Belief, initial: gtsam.Values, max_iterations: int) -> None:
         self._belief = belief
-        self._followers = Layout(belief.followers)
-        self._known = Layout(belief.keys)
+        self._followers = layout_of(belief.followers)
+        self._known = layout_of(belief.keys)
         self._max_iterations = max_iterations
         self._prior = Prior(belief.root)
         # How far the frontier's ``values`` are from those of the belief.
         self._total = np.zeros(self._known.size)
         self._rhs = belief.rhs
-        self.values = gtsam.Values(belief.values)
+        self.values = gtsam.Values(belief.base)
         self.values.insert(initial)
 
     def solve(
@@ -216,7 +216,7 @@ class SharedProblem(Problem):
 
     def _reweighs(self, item: '_Linear', step: Array, layout: Layout, error: float) -> bool:
         """Whether a robust factor's error differs from the linear one after a step."""
-        own = Layout(item.keys)
+        own = layout_of(item.keys)
         moved = step[layout.columns(item.keys)]
         values = self.values.extract(item.keys).retract(own.vector_values(moved))
         rest = item.entries.reshape(-1, len(moved)) @ moved - item.rhs
@@ -253,18 +253,19 @@ class SharedProblem(Problem):
             jacobian = factor.linearize(self.values)
             keys, rows = tuple(jacobian.keys()), jacobian.augmentedJacobian()
             self._add_columns(keys)
-            columns = np.concatenate([self._columns[key] for key in keys])
+            columns = np.concatenate([self._columns[key] for key in keys] * len(rows))
             entries, rhs = rows[:, :-1], rows[:, -1].copy()
             model = getattr(factor, 'noiseModel', lambda: None)()
+            robust = isinstance(model, gtsam.noiseModel.Robust)
             known = _Linear(
                 factor=factor,
                 keys=keys,
                 entries=entries.ravel(),
                 lines=_line_numbers(*entries.shape),
-                columns=np.broadcast_to(columns, entries.shape).ravel(),
+                columns=columns,
                 rhs=rhs,
-                apart=2.0 * factor.error(self.values) - float(rhs @ rhs),
-                robust=isinstance(model, gtsam.noiseModel.Robust),
+                apart=2.0 * factor.error(self.values) - float(rhs @ rhs) if robust else 0.0,
+                robust=robust,
             )
             self._linear[id(factor)] = known
         return known

@@ -83,7 +83,7 @@ def append_candidate(
             copy_value(initial, key, values, final.get(key, key))
         plain = [factor.factor for factor in made]
         state.belief, _ = extend(state.belief, plain, values, stamps, config.graph.max_iterations)
-        error = squared_error(plain, state.belief.values)
+        error = squared_error(plain, state.belief.base)
     _remember_measurements(state, placed, factors, inputs, made)
     state.add_factors(made)
     state.clusters.extend(placed)

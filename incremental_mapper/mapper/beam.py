@@ -179,7 +179,7 @@ class _Search:
         fresh = gtsam.Values()
         own = {pose_key(factors.local_id(cluster))}
         for key in own.union(*(factor.keys() for factor in made)):
-            if not prefix.belief.values.exists(key):
+            if not prefix.belief.base.exists(key):
                 copy_value(self._initial, key, fresh)
         local = factors.local_id(cluster)
         grown, cost = extend(
@@ -235,7 +235,7 @@ class _Search:
 
     def _poses(self, prefix: Prefix) -> NDArray[np.float64]:
         """Poses of all moving scans, those of the rest of the window by dead reckoning."""
-        factors, values = self._task.factors, gtsam.Values(prefix.belief.values)
+        factors, values = self._task.factors, prefix.belief.values
         clusters = list(prefix.candidate.clusters)
         correction = gtsam.Pose3()
         if clusters:

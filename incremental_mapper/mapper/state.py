@@ -164,7 +164,7 @@ class GraphState:
     def has_inertial(self, cluster: int) -> bool:
         """Whether a cluster has velocity and bias."""
         key = velocity_key(cluster)
-        return self.values.exists(key) or self.belief.values.exists(key)
+        return self.values.exists(key) or self.belief.base.exists(key)
 
     def all_values(self) -> gtsam.Values:
         """Newest estimate of every variable of G(t)."""
@@ -178,8 +178,7 @@ class GraphState:
 
     def holder(self, key: int) -> gtsam.Values:
         """The values that hold a variable's newest estimate."""
-        newest = self.belief.values
-        return newest if newest.exists(key) else self.values
+        return self.belief.holder(key) if self.belief.base.exists(key) else self.values
 
 
 def chain_start(before: int | None, stamp: int, max_gap: int) -> tuple[FactorKind, FactorKind]:
