@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from incremental_mapper.compiled import kernel, waiting
+from incremental_mapper.compiled import kernel
 from incremental_mapper.config import MomSettings
 from incremental_mapper.criteria.eigen import full_matrices, smallest_eigen
 from incremental_mapper.criteria.moments import covariances, sum_products
@@ -133,17 +133,16 @@ def _reach(
 
 
 def warm_up() -> None:
-    """Compile all that scoring needs, or load it from disk, so that no window waits for that."""
+    """Compile all that scoring needs, or load it from disk."""
     side = 0.4 * np.arange(20.0)
     x, y = (grid.ravel() for grid in np.meshgrid(side, side))
     floor = np.stack([x, y, 0.01 * np.cos(9.0 * x)], axis=1)
     poses = np.tile(np.eye(4), (2, 2, 1, 1))
     poses[1, 0, 0, 3] = 0.1
     scene = Scene(floor, [floor, floor], poses, 1, np.zeros(3))
-    with waiting():
-        judges = choose_judges(scene, MomSettings())
-        assert judges is not None  # the floor is flat
-        fast_scores(judges, poses, scene, MomSettings())
+    judges = choose_judges(scene, MomSettings())
+    assert judges is not None  # the floor is flat
+    fast_scores(judges, poses, scene, MomSettings())
 
 
 def fast_scores(

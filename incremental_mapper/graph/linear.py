@@ -75,41 +75,21 @@ def layout_of(keys: tuple[int, ...]) -> Layout:
     return Layout(keys)
 
 
-class Cholesky:
-    """A factorisation of symmetric positive definite equations, of which many can be solved.
-
-    Units differ by many orders of magnitude between positions and biases, so the matrix is scaled
-    to a unit diagonal first: that is what Cholesky's accuracy depends on.
-    """
-
-    __slots__ = ('_factor', '_scale')
-
-    def __init__(self, information: Array) -> None:
-        """Factorise (n, n); raises ValueError where it is not definite or not finite."""
-        diagonal = np.diagonal(information)
-        if not (diagonal.min(initial=np.inf) > 0.0 and np.isfinite(diagonal).all()):
-            raise ValueError('not positive definite')
-        self._scale = 1.0 / np.sqrt(diagonal)
-        scaled = information * self._scale[:, None]
-        scaled *= self._scale
-        self._factor, failed = dpotrf(scaled, overwrite_a=1, clean=0)
-        if failed:
-            raise ValueError('not positive definite')
-
-    def solve(self, right: Array) -> Array | None:
-        """The solution for ``right`` (n,) or (n, k); None where it is not finite."""
-        scale = self._scale if right.ndim == 1 else self._scale[:, None]
-        solution, _ = dpotrs(self._factor, right * scale)
-        solution *= scale
-        return solution if np.isfinite(solution).all() else None
-
-
 def solve_scaled(information: Array, right: Array) -> Array | None:
     """Solve symmetric positive definite equations for ``right`` (n,) or (n, k).
 
-    None where they are not definite or not finite.
+    None where they are not definite or not finite. Units differ by many orders of magnitude
+    between positions and biases, so the matrix is scaled to a unit diagonal first.
     """
-    try:
-        return Cholesky(information).solve(right)
-    except ValueError:
+    diagonal = np.diagonal(information)
+    if not (diagonal.min(initial=np.inf) > 0.0 and np.isfinite(diagonal).all()):
         return None
+    scale = 1.0 / np.sqrt(diagonal)
+    factor, failed = dpotrf(information * scale * scale[:, None], overwrite_a=1, clean=0)
+    if failed:
+        return None
+    if right.ndim > 1:
+        scale = scale[:, None]
+    solution, _ = dpotrs(factor, right * scale)
+    solution *= scale
+    return solution if np.isfinite(solution).all() else None

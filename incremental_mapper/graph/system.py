@@ -5,7 +5,8 @@ from functools import cached_property
 
 import numpy as np
 
-from incremental_mapper.graph.linear import Array, Cholesky, Layout
+from incremental_mapper.graph.linear import Array, Layout
+from incremental_mapper.graph.normal_equations import best_step
 from incremental_mapper.graph.solver import LOOSE
 
 
@@ -38,7 +39,7 @@ class System:
     whitened factors. ``total`` (n,) is the step from the belief's values so far.
     """
 
-    __slots__ = ('_factor', '_prior', 'layout', 'rest', 'rows', 'total')
+    __slots__ = ('_prior', 'layout', 'rest', 'rows', 'total')
 
     def __init__(self, prior: Prior, layout: Layout, rows: Array, rest: Rest, total: Array) -> None:
         self._prior = prior
@@ -46,7 +47,6 @@ class System:
         self.rows = rows
         self.rest = rest
         self.total = total
-        self._factor: Cholesky | None = None
 
     @property
     def known(self) -> int:
@@ -70,39 +70,21 @@ class System:
         return self.prior_error + self.error
 
     def best(self) -> tuple[Array, 'System'] | None:
-        """The best step from here and the system there, None where it would not be finite.
-
-        Normal equations square the condition of the rows, which short IMU spans make large; what
-        that costs is made good by solving once more for what the first solution leaves.
-        """
-        if self._factor is None:
-            information = self.rows.T @ self.rows
-            known = self.known
-            information[:known, :known] += self._prior.information
-            new = np.arange(known, len(information))
-            information[new, new] += 1.0 / LOOSE**2
-            try:
-                self._factor = Cholesky(information)
-            except ValueError:
-                return None
-        step = self._factor.solve(self._slope(self.rest))
-        if step is None:
+        """The best step from here and the system there, None where it would not be finite."""
+        prior, rest = self._prior, self.rest
+        found = best_step(
+            (prior.root, rest.prior, prior.information),
+            (1.0 / LOOSE, rest.loose),
+            (self.rows, rest.factors),
+        )
+        if found is None:
             return None
-        rest = self._after(step)
-        more = self._factor.solve(self._slope(rest))
-        if more is not None:
-            step, rest = step + more, self._after(step + more)
-        return step, self._there(step, rest)
+        step, *left = found
+        return step, self._there(step, Rest(*left))
 
     def moved(self, step: Array) -> 'System':
         """The same system seen from a place that is ``step`` (n,) away."""
         return self._there(step, self._after(step))
-
-    def _slope(self, rest: Rest) -> Array:
-        slope: Array = rest.factors @ self.rows
-        slope[: self.known] += rest.prior @ self._prior.root
-        slope[self.known :] += rest.loose / LOOSE
-        return slope
 
     def _after(self, step: Array) -> Rest:
         rest = self.rest
@@ -113,9 +95,7 @@ class System:
         )
 
     def _there(self, step: Array, rest: Rest) -> 'System':
-        other = System(self._prior, self.layout, self.rows, rest, self.total + step)
-        other._factor = self._factor
-        return other
+        return System(self._prior, self.layout, self.rows, rest, self.total + step)
 
     def relinearized(self, rows: Array, rhs: Array) -> 'System':
         """The same system with the factors linearised elsewhere: ``rows`` (r, n), ``rhs`` (r,)."""

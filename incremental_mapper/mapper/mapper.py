@@ -14,7 +14,6 @@ from incremental_mapper.candidates.search import by_time_shift
 from incremental_mapper.candidates.spans import ImuStamps
 from incremental_mapper.config import Config
 from incremental_mapper.criteria.criterion import strategy_plan
-from incremental_mapper.criteria.mom import warm_up
 from incremental_mapper.frontend.inertial import EMPTY_SERIES, preintegration_parameters
 from incremental_mapper.graph.belief import trimmed
 from incremental_mapper.graph.factors import Factor, pose_key
@@ -28,6 +27,7 @@ from incremental_mapper.mapper.effort import FULL, Effort
 from incremental_mapper.mapper.front_end import FrontEnd, Preparation, Prepared
 from incremental_mapper.mapper.georeference import georeference
 from incremental_mapper.mapper.inputs import window_inputs
+from incremental_mapper.mapper.kernels import load_kernels
 from incremental_mapper.mapper.local_graph import WindowFactors, WindowInputs
 from incremental_mapper.mapper.result import MapResult, NewestState, WindowResult
 from incremental_mapper.mapper.scenes import SceneBuilder
@@ -67,8 +67,7 @@ class Mapper:
         self._held: list[tuple[Window, Preparation]] = []
         self._effort = FULL
         self._front_end = FrontEnd(config)
-        if self._plan.scene:
-            warm_up()  # while the front end's processes start
+        load_kernels(self._plan.scene)  # while the front end's processes start
         self._parameters = preintegration_parameters(config.preintegration, config.imu.matrix())
         self._imu_gap = round(config.preintegration.max_gap * NANOSECONDS)
         self._series = EMPTY_SERIES

@@ -1,0 +1,80 @@
+"""The compiled least-squares step against LAPACK's."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from incremental_mapper.graph.normal_equations import best_step
+
+LOOSE = 1e-3
+
+
+def problem(seed, known, new, count):
+    """Prior, loose hold and factors of a few columns each, in units that differ by far."""
+    rng = np.random.default_rng(seed)
+    size = known + new
+    units = 10.0 ** rng.uniform(-3, 3, size=size)
+    root = rng.normal(size=(known + 2, known)) / units[:known]
+    rows = np.zeros((count, size))
+    for row in rows:
+        touched = rng.choice(size, size=min(4, size), replace=False)
+        row[touched] = rng.normal(size=len(touched)) / units[touched]
+    prior = root, rng.normal(size=len(root)), root.T @ root
+    return prior, (LOOSE, rng.normal(size=new)), (rows, rng.normal(size=count))
+
+
+def stacked(prior, loose, factors):
+    """All rows and right-hand sides one above the other."""
+    known, new = prior[0].shape[1], len(loose[1])
+    held = np.zeros((new, known + new))
+    held[np.arange(new), known + np.arange(new)] = loose[0]
+    top = np.hstack([prior[0], np.zeros((len(prior[0]), new))])
+    rhs = np.concatenate([prior[1], loose[1], factors[1]])
+    return np.vstack([top, held, factors[0]]), rhs
+
+
+@settings(deadline=None, max_examples=100)
+@given(
+    st.integers(0, 10_000),
+    st.integers(0, 12),
+    st.integers(0, 15),
+    st.integers(0, 40),
+)
+def test_step_is_the_least_squares_solution(seed, known, new, count):
+    if known + new == 0:
+        return
+    given = problem(seed, known, new, count)
+    matrix, rhs = stacked(*given)
+    # Columns of very different units: LAPACK gets them scaled.
+    scale = 1.0 / np.linalg.norm(matrix, axis=0)
+    expected = scale * np.linalg.lstsq(matrix * scale, rhs, rcond=None)[0]
+    step, *left = best_step(*given)
+    # How far a step may be off follows from the condition of the scaled rows.
+    condition = np.linalg.cond(matrix * scale)
+    assert step / scale == pytest.approx(expected / scale, rel=1e-8, abs=1e-13 * condition**2)
+    assert np.concatenate(left) == pytest.approx(rhs - matrix @ step, rel=1e-9, abs=1e-9)
+
+
+def test_undetermined_variable_stays_where_the_loose_hold_has_it():
+    prior = np.eye(2), np.zeros(2), np.eye(2)
+    rows = np.array([[1.0, 0.0, 0.0]])
+    step, *_ = best_step(prior, (LOOSE, np.zeros(1)), (rows, np.ones(1)))
+    assert step == pytest.approx([0.5, 0.0, 0.0])
+
+
+@pytest.mark.parametrize('bad', [np.nan, np.inf])
+@pytest.mark.parametrize('place', ['prior', 'rows', 'rhs'])
+def test_what_is_not_finite_has_no_step(bad, place):
+    prior, loose, (rows, rhs) = problem(3, 3, 4, 9)
+    if place == 'prior':
+        prior[2][0, 0] = bad
+    else:
+        (rows if place == 'rows' else rhs).flat[0] = bad
+    rows[0, 0] = bad if place == 'rows' else 1.0
+    assert best_step(prior, loose, (rows, rhs)) is None
+
+
+def test_prior_that_says_nothing_of_a_variable_leaves_no_step():
+    prior = np.zeros((1, 1)), np.zeros(1), np.zeros((1, 1))
+    assert best_step(prior, (LOOSE, np.zeros(0)), (np.zeros((0, 1)), np.zeros(0))) is None
