@@ -56,10 +56,14 @@ def cluster_of(key: int) -> int:
     return key & ((1 << 56) - 1)  # as gtsam.Symbol(key).index(), without making one
 
 
+def kind_of(key: int) -> str:
+    """Letter of a variable: ``x``, ``v`` or ``b``."""
+    return chr(key >> 56)  # as gtsam.Symbol(key).chr(), without making one
+
+
 def key_name(key: int) -> str:
     """Readable name of a key, for example ``x12``."""
-    symbol = gtsam.Symbol(key)
-    return f'{chr(symbol.chr())}{symbol.index()}'
+    return f'{kind_of(key)}{cluster_of(key)}'
 
 
 Describe: TypeAlias = Callable[[Any], dict[str, Any]]

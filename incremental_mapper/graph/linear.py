@@ -12,18 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dpotrs
 
+from incremental_mapper.graph.factors import kind_of
+
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
-POSE, VELOCITY = ord('x'), ord('v')
-"""Letters of poses and velocities, as they stand in the highest byte of a key."""
+DIMENSIONS = {'x': 6, 'v': 3, 'b': 6}
+"""Numbers of a tangent step, by the kind of the variable: pose, velocity, bias."""
 
 
 class Layout:
-    """Where each variable's tangent step stands in a stacked vector.
-
-    Poses and biases have six numbers, velocities three.
-    """
+    """Where each variable's tangent step stands in a stacked vector."""
 
     __slots__ = ('places', 'size')
 
@@ -37,7 +36,7 @@ class Layout:
         places, end = self.places, self.size
         for key in keys:
             if key not in places:
-                start, end = end, end + (3 if key >> 56 == VELOCITY else 6)
+                start, end = end, end + DIMENSIONS[kind_of(key)]
                 places[key] = slice(start, end)
         self.size = end
 

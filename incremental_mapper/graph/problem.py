@@ -8,7 +8,8 @@ import gtsam
 import numpy as np
 
 from incremental_mapper.graph.belief import Belief
-from incremental_mapper.graph.linear import POSE, Array, Indices, Layout, layout_of
+from incremental_mapper.graph.factors import kind_of
+from incremental_mapper.graph.linear import Array, Indices, Layout, layout_of
 from incremental_mapper.graph.solver import make_graph
 from incremental_mapper.graph.system import Prior, Rest, System
 
@@ -311,7 +312,7 @@ def _is_near(step: Array, layout: Layout) -> bool:
     turns = [
         index
         for key, place in layout.places.items()
-        if key >> 56 == POSE
+        if kind_of(key) == 'x'
         for index in range(place.start, place.start + 3)
     ]
     return bool(sizes[turns].max(initial=0.0) <= NEAR)

@@ -12,6 +12,8 @@ from functools import lru_cache
 import gtsam
 import numpy as np
 
+from incremental_mapper.graph.factors import kind_of
+
 LOOSE = 1e3
 """Standard deviation, metres or radians and so on, of what holds undetermined variables."""
 
@@ -106,7 +108,7 @@ def _held(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> list[gtsam
     """Very loose priors at the present values on every variable of a graph."""
     priors: list[gtsam.NonlinearFactor] = []
     for key in graph.keyVector():
-        kind = chr(gtsam.Symbol(key).chr())
+        kind = kind_of(key)
         model = gtsam.noiseModel.Isotropic.Sigma(3 if kind == 'v' else 6, LOOSE)
         if kind == 'x':
             priors.append(gtsam.PriorFactorPose3(key, values.atPose3(key), model))
@@ -139,7 +141,7 @@ def copy_value(
     source: gtsam.Values, key: int, target: gtsam.Values, name: int | None = None
 ) -> None:
     """Copy one variable between two ``Values``, under another key if ``name`` is given."""
-    kind = chr(key >> 56)
+    kind = kind_of(key)
     new = key if name is None else name
     if kind == 'x':
         target.insert(new, source.atPose3(key))

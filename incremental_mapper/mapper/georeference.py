@@ -17,6 +17,7 @@ from incremental_mapper.graph.factors import (
     Factor,
     FactorKind,
     gnss_factor,
+    kind_of,
     pose_prior,
     velocity_continuity,
     velocity_prior,
@@ -120,7 +121,7 @@ def georeference(state: GraphState, config: Config) -> bool:
 def _turn(values: gtsam.Values, T_enu_map: gtsam.Pose3) -> gtsam.Values:
     turned = gtsam.Values()
     for key in values.keys():  # noqa: SIM118 (no mapping)
-        kind = chr(gtsam.Symbol(key).chr())
+        kind = kind_of(key)
         if kind == 'x':
             turned.insert(key, T_enu_map.compose(values.atPose3(key)))
         elif kind == 'v':

@@ -1,7 +1,7 @@
 """The factors of a window's candidates; what candidates share is built once."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import gtsam
 import numpy as np
@@ -16,7 +16,6 @@ from incremental_mapper.candidates.clusters import (
 from incremental_mapper.config import Config
 from incremental_mapper.frontend.geodesy import Alignment
 from incremental_mapper.frontend.inertial import ImuSeries, preintegrate
-from incremental_mapper.graph.connectivity import UnionFind
 from incremental_mapper.graph.factors import (
     Factor,
     FactorKind,
@@ -35,6 +34,7 @@ from incremental_mapper.graph.factors import (
 )
 from incremental_mapper.graph.solver import insert_bias
 from incremental_mapper.mapper.front_end import Prepared, PreparedFix
+from incremental_mapper.mapper.partitions import Partition, Partitions
 from incremental_mapper.mapper.prediction import State, propagate, proper
 from incremental_mapper.mapper.scan_preparer import PreparedScan
 from incremental_mapper.mapper.state import Frontier, chain_start
@@ -44,10 +44,6 @@ UNSEEN_ACCELERATION = 2.0
 """m/s^2 by which a car's acceleration may differ from what the nearest IMU sample says."""
 SHORTEST = NANOSECONDS // 1000
 """Nanoseconds for which velocity and bias may change at the least, so that no sigma is zero."""
-LOCAL = 1 << 40
-"""Candidates' clusters are numbered from here on while they compete, the same in every window."""
-GRAPH = 'G(t-1)'
-"""The node that stands for all of G(t-1) in the connectivity of a candidate."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,90 +62,33 @@ class WindowInputs:
     config: Config
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Partition:
-    """What candidates with the same ``clusters`` share.
-
-    ``numbered`` are the clusters by their number and ``homes`` the number of every scan's cluster.
-    ``parts`` tell which of them hang together without any connection, 0 with G(t-1).
-    ``factors`` are those of the clusters' members, by the clusters' first elements.
-    """
-
-    clusters: tuple[Cluster, ...]
-    numbered: Mapping[int, Cluster]
-    homes: Mapping[tuple[str, int], int]
-    parts: tuple[int, ...]
-    factors: dict[int, Sequence[Factor]] = field(default_factory=dict)
-
-
 class WindowFactors:
     """Builds candidates' factors; the same cluster has the same keys in every candidate."""
 
     def __init__(self, inputs: WindowInputs, elements: int) -> None:
         self._in = inputs
-        self._elements = elements
         self._cache: dict[tuple[object, ...], tuple[Factor, ...]] = {}
         self._offsets: dict[tuple[int, int], gtsam.Pose3] = {}
         self._reckoned: dict[int, State] = {}
-        self._partitions: dict[int, _Partition] = {}
+        self._partitions = Partitions(inputs.prepared, inputs.frontier, elements)
         self._sigmas = pose_sigmas(
             inputs.config.odometry.sigma_translation, inputs.config.odometry.sigma_rotation
         )
 
     def local_id(self, cluster: Cluster) -> int:
         """Number of a cluster while candidates compete; unique within the window."""
-        return LOCAL + cluster.first * self._elements + cluster.last
+        return self._partitions.number(cluster)
 
     def home(self, candidate: Candidate) -> Mapping[tuple[str, int], int]:
         """Cluster of every scan that an odometry of this window may start from."""
-        return self._partition(candidate).homes
+        return self._partitions.of(candidate).homes
 
     def components(self, candidate: Candidate) -> list[list[Cluster]]:
         """Clusters by component, without those that reach G(t-1); in time order.
 
         In the first window there is no G(t-1), and the first component counts as it.
         """
-        parts = self._partition(candidate).parts
-        if not any(parts):
-            return []
-        for link in candidate.connections:
-            start = 0 if link.start == HEAD else parts[link.start]
-            joined = sorted((start, parts[link.end]))
-            parts = tuple(joined[0] if part == joined[1] else part for part in parts)
-        loose: dict[int, list[Cluster]] = {}
-        for cluster, part in zip(candidate.clusters, parts, strict=True):
-            if part:
-                loose.setdefault(part, []).append(cluster)
-        return list(loose.values())
-
-    def _partition(self, candidate: Candidate) -> '_Partition':
-        """What candidates with these clusters share; enumerations hand on the same tuple."""
-        known = self._partitions.get(id(candidate.clusters))
-        if known is None:
-            known = self._make_partition(candidate.clusters)
-            self._partitions[id(candidate.clusters)] = known
-        return known
-
-    def _make_partition(self, clusters: tuple[Cluster, ...]) -> '_Partition':
-        numbers = tuple(self.local_id(cluster) for cluster in clusters)
-        homes = {(name, stamp): id_ for name, (id_, stamp) in self._in.frontier.chains.items()}
-        known = set(homes.values())
-        for cluster, own in zip(clusters, numbers, strict=True):
-            for core in cluster.members:
-                homes[core.sensor, core.stamp] = own
-        sets: UnionFind[int | str] = UnionFind()
-        if self._in.frontier.newest is None and numbers:
-            sets.union(GRAPH, numbers[0])
-        for cluster, own in zip(clusters, numbers, strict=True):
-            for core in cluster.members:
-                item = self._in.prepared[core]
-                if isinstance(item, PreparedScan) and item.previous is not None:
-                    other = homes.get((core.sensor, item.previous))
-                    if other is not None:
-                        sets.union(GRAPH if other in known else other, own)
-        labels: dict[int | str, int] = {sets.find(GRAPH): 0}
-        parts = tuple(labels.setdefault(sets.find(own), len(labels)) for own in numbers)
-        return _Partition(clusters, dict(zip(numbers, clusters, strict=True)), homes, parts)
+        return self._partitions.of(candidate).components(candidate)
 
     def offset(self, cluster: Cluster, stamp: int) -> gtsam.Pose3:
         """T_cluster_member: the identity, or the predicted motion if that is compensated."""
@@ -176,7 +115,7 @@ class WindowFactors:
 
         With ``since`` only those that its clusters from that index on bring along.
         """
-        partition = self._partition(candidate)
+        partition = self._partitions.of(candidate)
         made: list[Factor] = []
         for cluster in candidate.clusters[since:]:
             if cluster.first not in partition.factors:
@@ -191,7 +130,7 @@ class WindowFactors:
             made.append(self._first_prior(first))
         return made
 
-    def _of_cluster(self, cluster: Cluster, partition: '_Partition') -> Sequence[Factor]:
+    def _of_cluster(self, cluster: Cluster, partition: Partition) -> Sequence[Factor]:
         """Odometry and fixes of a cluster's members."""
         made: list[Factor] = []
         for core in cluster.members:

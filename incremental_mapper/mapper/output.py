@@ -11,7 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from incremental_mapper.errors import OutputError
-from incremental_mapper.graph.factors import Factor, key_name, pose_key, pose_numbers
+from incremental_mapper.graph.factors import (
+    Factor,
+    cluster_of,
+    key_name,
+    kind_of,
+    pose_key,
+    pose_numbers,
+)
 from incremental_mapper.map.cloud import write_ply
 from incremental_mapper.mapper.result import MapResult
 from incremental_mapper.mapper.state import PlacedCluster
@@ -57,7 +64,7 @@ def graph_tree(
     stamps = {placed.id: placed.cluster.stamp for placed in clusters}
     keys = sorted(
         (int(key) for key in values.keys()),  # noqa: SIM118 (no mapping)
-        key=lambda key: (gtsam.Symbol(key).index(), key_name(key)[0] != 'x', key),
+        key=lambda key: (cluster_of(key), kind_of(key) != 'x', key),
     )
     return {
         'format': 1,
@@ -66,9 +73,9 @@ def graph_tree(
         'variables': [
             {
                 'key': key_name(key),
-                'kind': KINDS[key_name(key)[0]],
-                'cluster': gtsam.Symbol(key).index(),
-                'stamp_ns': stamps[gtsam.Symbol(key).index()],
+                'kind': KINDS[kind_of(key)],
+                'cluster': cluster_of(key),
+                'stamp_ns': stamps[cluster_of(key)],
                 'value': _value(values, key),
             }
             for key in keys
@@ -116,7 +123,7 @@ def _write_g2o(path: Path, result: MapResult) -> None:
         poses.insert(placed.id, result.values.atPose3(pose_key(placed.id)))
     for factor in result.factors:
         if isinstance(factor.factor, gtsam.BetweenFactorPose3):
-            graph.push_back(factor.factor.rekey([gtsam.Symbol(key).index() for key in factor.keys]))
+            graph.push_back(factor.factor.rekey([cluster_of(key) for key in factor.keys]))
     gtsam.writeG2o(graph, poses, str(path))
 
 

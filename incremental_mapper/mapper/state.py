@@ -18,10 +18,10 @@ from incremental_mapper.graph.factors import (
     FactorKind,
     bias_key,
     cluster_of,
+    kind_of,
     pose_key,
     velocity_key,
 )
-from incremental_mapper.graph.linear import VELOCITY
 from incremental_mapper.map.store import MemoryStore, PointStore, StoredPoints
 
 
@@ -136,7 +136,7 @@ class GraphState:
         for factor in made:
             self.factor_counts[str(factor.kind)] += 1
             for key in factor.keys:
-                if key >> 56 == VELOCITY:
+                if kind_of(key) == 'v':
                     self.inertial.add(cluster_of(key))
 
     def pose(self, cluster: int) -> gtsam.Pose3:

@@ -7,13 +7,12 @@ anew. When the map is turned into ENU, once in a drive, everything is placed aga
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
 from incremental_mapper.config import Config
 from incremental_mapper.geometry import transform_points
-from incremental_mapper.graph.factors import Factor, FactorKind, pose_numbers
+from incremental_mapper.graph.factors import Factor, FactorKind, cluster_of, pose_numbers
 from incremental_mapper.mapper.mapper import Mapper
 from incremental_mapper.mapper.state import GraphState, PlacedScan
 from incremental_mapper.measurements import NANOSECONDS
@@ -202,7 +201,7 @@ class LiveMap:
 def _recent_factors(state: GraphState, first: int) -> Iterable[tuple[Factor, list[int]]]:
     """Factors of clusters from number ``first`` on, newest first, with their clusters."""
     for factor in reversed(state.factors):
-        ends = sorted({int(gtsam.Symbol(key).index()) for key in factor.keys})
+        ends = sorted({cluster_of(key) for key in factor.keys})
         # Factors are appended with their newest cluster, window by window.
         if ends[-1] < first:
             return
