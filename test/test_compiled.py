@@ -6,6 +6,7 @@ import pkgutil
 import subprocess
 import sys
 import textwrap
+import time
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from numba.core.caching import FunctionCache
 from numba.core.dispatcher import Dispatcher
 
 import incremental_mapper.map as map_package
-from incremental_mapper import criteria, graph
+from incremental_mapper import compiled, criteria, graph
 from incremental_mapper.compiled import kernel
 
 MODULES = [
@@ -162,3 +163,13 @@ def test_processes_of_lidars_do_not_load_the_compiler():
         print('numba' in sys.modules)
     """)
     assert out.split() == ['False']
+
+
+@pytest.mark.parametrize(('patience', 'told'), [(0.0, 1), (60.0, 0)])
+def test_who_waits_for_the_compiler_is_told(monkeypatch, caplog, patience, told):
+    monkeypatch.setattr(compiled, 'LONG', patience)
+    with compiled.waiting():
+        until = time.monotonic() + 10.0
+        while told and not caplog.records and time.monotonic() < until:
+            time.sleep(0.01)
+    assert [record.getMessage()[:9] for record in caplog.records] == ['compiling'] * told
