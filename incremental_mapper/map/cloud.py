@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from incremental_mapper.map.voxel_sums import mean_points
 
-CHUNK = 1_000_000
+CHUNK = 2_000_000
 """Points that are gathered before they are thinned."""
 TILE = 64.0
 """Side, in metres, of the squares that a large map is thinned by, one after the other."""
@@ -43,7 +43,7 @@ def accumulate(
             if len(running) > threads:
                 waiting.append(running.popleft().result())
             # All is thinned again only once it has doubled, so a long drive costs no square.
-            if sum(map(len, waiting)) > max(4 * CHUNK, len(kept)):
+            if sum(map(len, waiting)) > max(2 * CHUNK, len(kept)):
                 kept, waiting = _thin([kept, *waiting], voxel_size), []
         waiting += [future.result() for future in running]
     return _thin([kept, *waiting], voxel_size)
@@ -73,7 +73,7 @@ def _place(scans: Sequence[Placed], voxel_size: float, max_range: float) -> NDAr
 def _thin(parts: list[NDArray[np.float32]], voxel_size: float) -> NDArray[np.float32]:
     """One mean point per voxel, (M, 3), of ``parts``, (N, 3) each."""
     points = np.concatenate(parts)
-    if len(points) <= 4 * CHUNK:
+    if len(points) <= 2 * CHUNK:
         return mean_points([(points, np.eye(4))], len(points), np.zeros(3), voxel_size)
     # Tiles hold whole voxels and are thinned one after the other, which takes less memory.
     side = max(round(TILE / voxel_size), 1) * voxel_size
