@@ -23,7 +23,7 @@ help:
 	@echo 'make table   evaluate all strategies on simulated drives with the stamps of the paper, which'
 	@echo '             TIMING=DIR holds, and write docs/table.md, .csv and .tex; JOBS=N side by side'
 	@echo 'make bench   all figures of the speed in one table; BENCH_LONG=S and BENCH_HOUR=MIN set the'
-	@echo '             long drives (600 s and 60 min, 0 leaves them out); takes an hour'
+	@echo '             long drives (600 s and 60 min, 0 leaves them out); takes half an hour'
 	@echo 'make test    run the tests'
 	@echo 'make lint    ruff and the import contracts'
 	@echo 'make types   mypy'
