@@ -1,14 +1,32 @@
 """Single decisions lead from any candidate to any other, and never out of the enumeration."""
 
-from hypothesis import given, settings
+import numpy as np
+from hypothesis import example, given, settings
 from test_search import windows
 
+from incremental_mapper.candidates.clusters import CoreKind, CoreMeasurement
 from incremental_mapper.candidates.enumeration import base_candidate, candidates
 from incremental_mapper.candidates.neighbours import neighbours
+from incremental_mapper.candidates.spans import ImuStamps
+
+# One sample: the first and the last cluster of a chain cannot be connected to any other, so that
+# a connection between two others appears at once or not at all.
+PARTS = tuple(
+    (CoreMeasurement(stamp, 'gps' if stamp == 10 else 'left', kind),)
+    for stamp, kind in (
+        (0, CoreKind.LIDAR),
+        (1, CoreKind.LIDAR),
+        (2, CoreKind.LIDAR),
+        (10, CoreKind.GNSS),
+        (18, CoreKind.LIDAR),
+    )
+)
+RARE_SAMPLES = PARTS, None, ImuStamps(np.array([9]), max_gap=8)
 
 
 @settings(deadline=None, max_examples=80)
 @given(windows())
+@example(RARE_SAMPLES)
 def test_neighbours_are_candidates_and_reach_all_of_them(window):
     parts, head, imu = window
     every = set(candidates(parts, head, imu))

@@ -1,6 +1,7 @@
 """Candidates that differ from a given one by a single decision, for a local search."""
 
 from collections.abc import Iterator, Sequence
+from itertools import combinations
 
 from incremental_mapper.candidates.clusters import HEAD, Candidate, Cluster
 from incremental_mapper.candidates.enumeration import connect
@@ -12,6 +13,8 @@ def neighbours(
     candidate: Candidate, parts: Sequence[Element], head: int | None, imu: ImuStamps
 ) -> Iterator[Candidate]:
     """Candidates with two clusters merged, one split, or one more or less in the chain.
+
+    Two more at once where neither alone would be connected to anything.
 
     ``head`` is the stamp of the cluster of G(t-1) to connect from, or None. Some may come more
     than once, or be the candidate itself where a decision makes no difference.
@@ -32,8 +35,15 @@ def neighbours(
         yield connect(tuple(clusters), nodes if head is None else [HEAD, *nodes], head, imu)
 
     bounds = [(cluster.first, cluster.last) for cluster in candidate.clusters]
+    idle: list[int] = []
     for index in range(count - 1):
-        yield from made(bounds, chain ^ {index})
+        for other in made(bounds, chain ^ {index}):
+            if index not in chain and other.connections == candidate.connections:
+                idle.append(index)
+            yield other
+    # Where samples are rare, two clusters may have a span between them and neither to the chain.
+    for pair in combinations(idle, 2):
+        yield from made(bounds, chain.union(pair))
     for index in range(count - 1):
         joined = [*bounds[:index], (bounds[index][0], bounds[index + 1][1]), *bounds[index + 2 :]]
         yield from made(joined, {node - (node > index) for node in chain})
