@@ -29,22 +29,28 @@ KERNELS = [
     for item in vars(module).values()
     if isinstance(item, Dispatcher) and item.py_func.__module__ == module.__name__
 ]
-PROGRAM = f"""
+LOADED = f"""
 import sys
 sys.path.insert(0, {str(Path(__file__).parent)!r})
-from incremental_mapper.mapper.kernels import load_kernels
 import test_compiled
+from incremental_mapper.mapper.kernels import load_kernels
+def types():
+    return [(item.py_func.__name__, item.signatures) for item in test_compiled.KERNELS]
 load_kernels()
+before = types()
+"""
+COUNT_MISSES = """
 stats = [item.stats for item in test_compiled.KERNELS]
 for counts in zip(*[(stat.cache_hits.total(), stat.cache_misses.total()) for stat in stats]):
     print(sum(counts))
 """
 
 
-def run(program, **environment):
+def run(program, before='', **environment):
+    """What a process of its own prints, where nothing else has been compiled."""
     package = Path(criteria.__path__[0]).parents[1]
     done = subprocess.run(
-        [sys.executable, '-c', textwrap.dedent(program)],
+        [sys.executable, '-c', before + textwrap.dedent(program)],
         env={**os.environ, 'PYTHONPATH': str(package), **environment},
         capture_output=True,
         text=True,
@@ -70,17 +76,9 @@ def test_kernel_uses_its_own_file_only(item):
 
 
 def test_window_finds_everything_compiled():
-    # In a process of its own, where nothing else has been compiled.
-    out = run(f"""
-        import sys
-        sys.path.insert(0, {str(Path(__file__).parent)!r})
-        import test_compiled, test_mom
+    program = """
+        import test_mom
         from incremental_mapper.criteria.mom import choose_judges, fast_scores
-        from incremental_mapper.mapper.kernels import load_kernels
-        def types():
-            return [(item.py_func.__name__, item.signatures) for item in test_compiled.KERNELS]
-        load_kernels()
-        before = types()
         scene = test_mom.jittered(test_mom.room_scene(1), 5, 0.05, 1e-3)
         for given in (scene, test_mom.with_candidates(scene)):
             given.poses.flags.writeable = given.origin.flags.writeable = False
@@ -88,42 +86,37 @@ def test_window_finds_everything_compiled():
             fast_scores(judges, given.poses, given, test_mom.SETTINGS)
             fast_scores(judges, given.poses[1:2], given, test_mom.SETTINGS, exact=False)
         print(types() == before, sum(len(some) for _, some in before))
-    """)
-    same, compiled = out.split()
+    """
+    same, compiled = run(program, before=LOADED).split()
     assert same == 'True'
     assert int(compiled) > 8
 
 
 def test_drive_finds_everything_compiled(light_drive):
-    out = run(f"""
-        import sys
+    program = f"""
         from pathlib import Path
-        sys.path.insert(0, {str(Path(__file__).parent)!r})
-        import test_compiled
         from incremental_mapper.datasets.open import open_source
         from incremental_mapper.evaluation.run import settle_config
-        from incremental_mapper.mapper.kernels import load_kernels
         from incremental_mapper.mapper.mapper import Mapper
-        def types():
-            return [(item.py_func.__name__, item.signatures) for item in test_compiled.KERNELS]
-        load_kernels()
-        before = types()
         source = open_source(Path({str(light_drive)!r}))
         config = settle_config(source, {{'odometry': {{'processes': False}}}}, 'settings')
         mapper = Mapper(config)
         windows = [window for item in source.measurements() for window in mapper.push(item)]
         print(types() == before, mapper.stats()['candidates_solved'])
-    """)
-    same, solved = out.split()
+    """
+    same, solved = run(program, before=LOADED).split()
     assert same == 'True'
     assert int(solved) > 20
 
 
 def test_code_is_kept_where_the_user_says(tmp_path):
-    found, made_anew = map(int, run(PROGRAM, NUMBA_CACHE_DIR=str(tmp_path)).split())
+    def count():
+        return map(int, run(COUNT_MISSES, before=LOADED, NUMBA_CACHE_DIR=str(tmp_path)).split())
+
+    found, made_anew = count()
     assert found == 0 < made_anew
     assert list(tmp_path.rglob('*.nbc'))
-    found, made_anew = map(int, run(PROGRAM, NUMBA_CACHE_DIR=str(tmp_path)).split())
+    found, made_anew = count()
     assert found > 0 == made_anew
 
 

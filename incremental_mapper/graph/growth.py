@@ -28,8 +28,7 @@ def extend(
     problem = Problem(belief, initial, max_iterations)
     solved = problem.solve(factors, initial.keys())
     if solved is not None:
-        names = dict[int, int]()
-        return adopt(belief, solved, names, clusters), solved.cost
+        return adopt(belief, solved, {}, clusters), solved.cost
     layout = Layout([*belief.keys, *initial.keys()])
     system = linear_system(belief, layout, make_graph(factors), problem.values)
     grown = _larger(belief, system, layout.keys, problem.values, clusters)

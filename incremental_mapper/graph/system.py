@@ -11,7 +11,7 @@ from incremental_mapper.graph.solver import LOOSE
 
 
 class Prior:
-    """What a belief says of a step δ (n,) of its variables: ‖root · δ − rhs‖²."""
+    """The rows ``root`` (m, n) of a belief; their right-hand sides change with every step."""
 
     def __init__(self, root: Array) -> None:
         self.root = root

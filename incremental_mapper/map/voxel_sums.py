@@ -1,4 +1,7 @@
-"""Mean points of voxels, for many points at a time: a hash table, compiled."""
+"""Mean points of voxels, for many points at a time: a hash table, compiled.
+
+``voxels`` does it for one scan in the LiDARs' processes, which start the sooner without a compiler.
+"""
 
 from collections.abc import Iterable
 from math import floor

@@ -81,14 +81,18 @@ class WindowFactors:
 
     def home(self, candidate: Candidate) -> Mapping[tuple[str, int], int]:
         """Cluster of every scan that an odometry of this window may start from."""
-        return self._partitions.of(candidate).homes
+        return self.partition(candidate).homes
 
     def components(self, candidate: Candidate) -> list[list[Cluster]]:
         """Clusters by component, without those that reach G(t-1); in time order.
 
         In the first window there is no G(t-1), and the first component counts as it.
         """
-        return self._partitions.of(candidate).components(candidate)
+        return self.partition(candidate).components(candidate)
+
+    def partition(self, candidate: Candidate) -> Partition:
+        """What it shares with other candidates; the same object for all of them."""
+        return self._partitions.of(candidate)
 
     def offset(self, cluster: Cluster, stamp: int) -> gtsam.Pose3:
         """T_cluster_member: the identity, or the predicted motion if that is compensated."""
@@ -115,7 +119,7 @@ class WindowFactors:
 
         With ``since`` only those that its clusters from that index on bring along.
         """
-        partition = self._partitions.of(candidate)
+        partition = self.partition(candidate)
         made: list[Factor] = []
         for cluster in candidate.clusters[since:]:
             if cluster.first not in partition.factors:

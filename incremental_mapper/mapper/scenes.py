@@ -6,12 +6,13 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from incremental_mapper.candidates.clusters import Candidate, Cluster
+from incremental_mapper.candidates.clusters import Candidate
 from incremental_mapper.criteria.mom import Scene
 from incremental_mapper.geometry import transform_points
 from incremental_mapper.graph.factors import cluster_of, pose_key
 from incremental_mapper.mapper.front_end import Prepared
 from incremental_mapper.mapper.local_graph import WindowFactors, WindowInputs
+from incremental_mapper.mapper.partitions import Partition
 from incremental_mapper.mapper.scan_preparer import PreparedScan
 from incremental_mapper.mapper.state import GraphState, PlacedScan
 from incremental_mapper.voxels import thin
@@ -40,9 +41,7 @@ class SceneBuilder:
         self._touched = [scan for scan in last if state.in_lag(scan[0].cluster)]
         self._touched_keys = [pose_key(scan.cluster) for scan, _ in self._touched]
         self._touched_offsets = [scan.T_cluster_scan.matrix() for scan, _ in self._touched]
-        self._offsets: dict[tuple[int, int], NDArray[np.float64]] = {}
-        # The clusters are kept beside, so that their id stays theirs.
-        self._placings: dict[int, tuple[tuple[Cluster, ...], list[int], NDArray[np.float64]]] = {}
+        self._placings: dict[Partition, tuple[list[int], NDArray[np.float64]]] = {}
         self._settled = [scan for scan in last if not state.in_lag(scan[0].cluster)]
 
     def scene(self, poses: Sequence[NDArray[np.float64]]) -> Scene:
@@ -84,30 +83,20 @@ class SceneBuilder:
         return moved
 
     def _placing(self, candidate: Candidate) -> tuple[list[int], NDArray[np.float64]]:
-        """Pose keys of the scene's moving scans, and T_cluster_scan (S, 4, 4) of each.
-
-        Candidates with the same clusters share them; enumerations hand on the same tuple.
-        """
-        known = self._placings.get(id(candidate.clusters))
+        """Pose keys of the scene's moving scans, and T_cluster_scan (S, 4, 4) of each."""
+        partition = self._factors.partition(candidate)
+        known = self._placings.get(partition)
         if known is None:
             owner = {core: cluster for cluster in candidate.clusters for core in cluster.members}
             clusters = [owner[item.core] for item in self._new]
             keys = [pose_key(self._factors.local_id(cluster)) for cluster in clusters]
             offsets = [
-                self._offset(cluster, item.core.stamp)
+                self._factors.offset(cluster, item.core.stamp).matrix()
                 for item, cluster in zip(self._new, clusters, strict=True)
             ]
             stacked = np.array([*offsets, *self._touched_offsets]).reshape(-1, 4, 4)
-            known = candidate.clusters, [*keys, *self._touched_keys], stacked
-            self._placings[id(candidate.clusters)] = known
-        return known[1:]
-
-    def _offset(self, cluster: Cluster, stamp: int) -> NDArray[np.float64]:
-        """T_cluster_scan as a matrix (4, 4)."""
-        key = (cluster.stamp, stamp)
-        if key not in self._offsets:
-            self._offsets[key] = self._factors.offset(cluster, stamp).matrix()
-        return self._offsets[key]
+            known = self._placings[partition] = [*keys, *self._touched_keys], stacked
+        return known
 
     def _pose(self, scan: PlacedScan) -> gtsam.Pose3:
         return self._state.pose(scan.cluster).compose(scan.T_cluster_scan)
