@@ -43,7 +43,7 @@ $(INSTALLED): setup.py setup.cfg pyproject.toml
 	@test -x $(BIN)/pip || $(PYTHON) -m venv --clear .venv
 	$(BIN)/python -m pip install --quiet --editable '.[ros,sim,report,test]'
 	@# Nobody need wait for the compiler later.
-	$(BIN)/python -c 'from incremental_mapper.mapper.kernels import load_kernels; load_kernels()'
+	$(BIN)/python -c 'from incremental_mapper.mapping.kernels import load_kernels; load_kernels()'
 	@touch $@
 
 demo: $(INSTALLED)

@@ -22,18 +22,18 @@ from typing import Any
 import numpy as np
 from long_drive import RepeatedDrive
 
-import incremental_mapper.mapper.mapper as mapper_module
+import incremental_mapper.mapping.mapper as mapper_module
 from incremental_mapper.config import Config, Tree, make_config, merge, read_yaml
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.datasets.simulated.folder import simulate
 from incremental_mapper.datasets.simulated.options import MotionKind, SimulationOptions
 from incremental_mapper.datasets.source import Source
-from incremental_mapper.evaluation.run import map_source, settle_config
-from incremental_mapper.mapper.mapper import Mapper
-from incremental_mapper.mapper.selection import Choice, choose
-from incremental_mapper.mapper.statistics import STAGES, peak_rss_mb
-from incremental_mapper.mapper.task import Task
+from incremental_mapper.mapping.mapper import Mapper
+from incremental_mapper.mapping.statistics import STAGES, peak_rss_mb
 from incremental_mapper.measurements import LidarScan, Measurement
+from incremental_mapper.results.offline_run import map_source, settle_config
+from incremental_mapper.selection.selector import Choice, choose
+from incremental_mapper.selection.window_problem import Task
 
 SEED = 3
 START_UP = 3.0

@@ -13,22 +13,20 @@ from typing import Any
 import gtsam
 import numpy as np
 
-from incremental_mapper.candidates.clusters import Cluster, CoreKind, CoreMeasurement
+from incremental_mapper.candidates.model import Cluster, CoreKind, CoreMeasurement
 from incremental_mapper.config import Config
 from incremental_mapper.errors import InputError
-from incremental_mapper.frontend.inertial import preintegration_parameters
+from incremental_mapper.frontend.imu_preintegration import preintegration_parameters
 from incremental_mapper.graph.connectivity import UnionFind
 from incremental_mapper.graph.factors import (
     Factor,
     FactorKind,
     between_factor,
-    bias_key,
     gnss_factor,
     imu_factor,
-    pose_key,
-    velocity_key,
 )
-from incremental_mapper.mapper.state import PlacedCluster, PlacedScan
+from incremental_mapper.graph.values import bias_key, pose_key, velocity_key
+from incremental_mapper.smoothing.graph_state import PlacedCluster, PlacedScan
 
 MANY = 5000
 SAMPLES = 6

@@ -43,6 +43,7 @@ from sensor_msgs.msg import Imu, NavSatFix, PointCloud2
 from incremental_mapper.config import make_config, merge, read_yaml
 from incremental_mapper.datasets.bags import open_bag
 from incremental_mapper.errors import InputError, MapperError
+from incremental_mapper.mapping.window_buffer import WindowBuffer
 from incremental_mapper.measurements import (
     NANOSECONDS,
     FixStatus,
@@ -52,7 +53,6 @@ from incremental_mapper.measurements import (
     Measurement,
 )
 from incremental_mapper.ros.client import Heard
-from incremental_mapper.windows.buffer import WindowBuffer
 
 KINDS = {'imu': Imu, 'gnss': NavSatFix}
 ONE_POINT = np.ones((1, 3), dtype=np.float32)

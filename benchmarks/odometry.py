@@ -27,10 +27,10 @@ from kiss_icp.kiss_icp import KissICP
 
 from incremental_mapper.config import merge, read_yaml
 from incremental_mapper.datasets.open import open_source
-from incremental_mapper.evaluation.run import settle_config
-from incremental_mapper.mapper.front_end import FrontEnd
-from incremental_mapper.mapper.scan_preparer import PreparedScan
+from incremental_mapper.frontend.front_end import FrontEnd
+from incremental_mapper.frontend.scan_preparation import PreparedScan
 from incremental_mapper.measurements import NANOSECONDS, LidarScan
+from incremental_mapper.results.offline_run import settle_config
 from incremental_mapper.trajectory import Trajectory
 
 SPIN = 2.0 * np.pi * 10.0

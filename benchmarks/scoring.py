@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from incremental_mapper.config import Config, MomSettings, read_yaml
-from incremental_mapper.criteria.mom import Scene, choose_judges, direct_score, fast_scores
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.datasets.source import Source
-from incremental_mapper.evaluation.run import settle_config
-from incremental_mapper.mapper import mapper as mapping
-from incremental_mapper.mapper.scenes import SceneBuilder
+from incremental_mapper.mapping import mapper as mapping
+from incremental_mapper.results.offline_run import settle_config
+from incremental_mapper.scoring.mom import Scene, choose_judges, direct_score, fast_scores
+from incremental_mapper.selection.local_map import SceneBuilder
 
 METRES, RADIANS = 0.01, 5e-4
 REGRET = 0.005

@@ -16,11 +16,11 @@ import numpy as np
 import pymap3d
 
 from incremental_mapper.config import make_config
-from incremental_mapper.evaluation.figure import Look, new_figure, save
-from incremental_mapper.evaluation.graph_picture import Shown, add_graph_legend, paint_graph
-from incremental_mapper.mapper.mapper import Mapper
-from incremental_mapper.mapper.output import graph_tree
+from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.measurements import FixStatus, GnssFix, ImuSample, LidarScan, Measurement
+from incremental_mapper.results.run_files import graph_tree
+from incremental_mapper.visualization.figure import Look, new_figure, save
+from incremental_mapper.visualization.graph_picture import Shown, add_graph_legend, paint_graph
 
 MS = 1_000_000
 START = 1_544_581_126_000 * MS

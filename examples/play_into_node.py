@@ -24,9 +24,8 @@ from incremental_mapper.config import read_yaml
 from incremental_mapper.datasets.bags import SETTINGS_FILE
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.errors import InputError, MapperError
-from incremental_mapper.evaluation.comparison import TOLERANCE, compare_graphs, read_graph
+from incremental_mapper.evaluation.graph_comparison import TOLERANCE, compare_graphs, read_graph
 from incremental_mapper.ros.client import Heard, NodeClient, open_client
-from incremental_mapper.ros.outputs import reliable
 from incremental_mapper.ros.programs import (
     free_domain,
     local_environment,
@@ -34,6 +33,7 @@ from incremental_mapper.ros.programs import (
     player_command,
     running,
 )
+from incremental_mapper.ros.publishers import reliable
 
 ATTEMPTS = 3
 """So often the bag is played, each time at half the rate, until the node keeps up."""

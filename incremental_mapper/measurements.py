@@ -78,7 +78,9 @@ class ImuSample:
     orientation: Vector | None = None
 
 
-Measurement: TypeAlias = LidarScan | GnssFix | ImuSample
+CoreInput: TypeAlias = LidarScan | GnssFix
+"""What creates a variable: the core measurements."""
+Measurement: TypeAlias = CoreInput | ImuSample
 
 
 def make_scan(

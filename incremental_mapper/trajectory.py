@@ -76,6 +76,31 @@ def from_matrices(stamps: NDArray[np.int64], matrices: NDArray[np.float64]) -> T
     )
 
 
+def match_truth(estimate: Trajectory, truth: Trajectory) -> tuple[Trajectory, Trajectory]:
+    """Poses of ``estimate`` within the truth's time span, and the true poses at their stamps."""
+    inside = truth.covers(estimate.stamps)
+    covered = Trajectory(
+        estimate.stamps[inside], estimate.positions[inside], estimate.quaternions[inside]
+    )
+    return covered, truth.interpolate(covered.stamps)
+
+
+def fit_rigid(points: NDArray[np.float64], targets: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The rigid transform T_targets_points (4, 4) of least squares, without scale (Umeyama).
+
+    ``points`` and ``targets`` are (N, 3), N >= 1. Where the points leave the rotation open (they
+    coincide or lie on a line), it is one of the best.
+    """
+    from_centre = points - points.mean(axis=0)
+    to_centre = targets - targets.mean(axis=0)
+    left, _, right = np.linalg.svd(to_centre.T @ from_centre)
+    mirror = np.sign(np.linalg.det(left) * np.linalg.det(right))
+    transform = np.eye(4)
+    transform[:3, :3] = left @ np.diag([1.0, 1.0, mirror]) @ right
+    transform[:3, 3] = targets.mean(axis=0) - transform[:3, :3] @ points.mean(axis=0)
+    return transform
+
+
 def write_tum(path: Path, trajectory: Trajectory) -> None:
     """Write ``stamp x y z qx qy qz qw`` lines; the stamp in seconds keeps all nine decimals."""
     with path.open('w', encoding='ascii') as file:

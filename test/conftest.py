@@ -122,7 +122,7 @@ def run_map(tmp_path, capsys):
     return run
 
 
-_PICTURES = 'incremental_mapper.evaluation.pictures'
+_PICTURES = 'incremental_mapper.visualization.pictures'
 
 
 @pytest.fixture

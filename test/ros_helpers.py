@@ -30,13 +30,13 @@ from visualization_msgs.msg import MarkerArray
 from incremental_mapper.config import merge, read_yaml
 from incremental_mapper.datasets.bags import SETTINGS_FILE
 from incremental_mapper.datasets.open import open_source
-from incremental_mapper.evaluation.comparison import compare_graphs, read_graph
-from incremental_mapper.evaluation.run import map_source, settle_config
-from incremental_mapper.mapper.output import graph_tree
+from incremental_mapper.evaluation.graph_comparison import compare_graphs, read_graph
 from incremental_mapper.measurements import NANOSECONDS
-from incremental_mapper.ros.messages import read_status
+from incremental_mapper.results.offline_run import map_source, settle_config
+from incremental_mapper.results.run_files import graph_tree
 from incremental_mapper.ros.node import MapperNode
 from incremental_mapper.ros.programs import free_domain
+from incremental_mapper.ros.result_messages import read_status
 
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
 

@@ -2,14 +2,14 @@
 
 import pytest
 
-import incremental_mapper.mapper.mapper as mapper_module
+import incremental_mapper.mapping.mapper as mapper_module
 from incremental_mapper.candidates.enumeration import candidates
-from incremental_mapper.criteria.criterion import strategy_plan
 from incremental_mapper.datasets.open import open_source
-from incremental_mapper.evaluation.run import settle_config
-from incremental_mapper.mapper.beam import beam_search
-from incremental_mapper.mapper.mapper import Mapper
-from incremental_mapper.mapper.selection import choose
+from incremental_mapper.mapping.mapper import Mapper
+from incremental_mapper.results.offline_run import settle_config
+from incremental_mapper.scoring.strategies import strategy_plan
+from incremental_mapper.selection.beam_search import beam_search
+from incremental_mapper.selection.selector import choose
 
 UNLIMITED = 1e6
 

@@ -7,22 +7,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from incremental_mapper.config import GraphSettings
-from incremental_mapper.graph.belief import Belief, shrink, trimmed
 from incremental_mapper.graph.factors import (
     FactorKind,
     between_factor,
-    bias_key,
     bias_prior,
-    pose_key,
     pose_prior,
     pose_sigmas,
-    velocity_key,
     velocity_prior,
 )
-from incremental_mapper.graph.growth import belief_of, extend
-from incremental_mapper.graph.linear import Layout, solve_scaled
-from incremental_mapper.graph.problem import Problem
-from incremental_mapper.graph.solver import make_graph, optimize, squared_error
+from incremental_mapper.graph.values import bias_key, pose_key, velocity_key
+from incremental_mapper.smoothing.batch import make_graph, optimize, squared_error
+from incremental_mapper.smoothing.gauss_newton import Problem
+from incremental_mapper.smoothing.marginal_prior import Belief, shrink, trimmed
+from incremental_mapper.smoothing.smoother import belief_of, extend
+from incremental_mapper.smoothing.tangent_layout import Layout, solve_scaled
 
 SECOND = 1_000_000_000
 STEP = gtsam.Pose3(gtsam.Rot3.Ypr(0.05, 0.0, 0.01), np.array([1.0, 0.1, 0.0]))

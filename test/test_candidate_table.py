@@ -8,15 +8,15 @@ import pytest
 from incremental_mapper.config import make_config
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.errors import InputError, OutputError
-from incremental_mapper.evaluation import candidate_table
-from incremental_mapper.evaluation.candidate_table import (
+from incremental_mapper.results import candidate_table
+from incremental_mapper.results.candidate_table import (
     COLUMNS,
     FILE_NAME,
     candidate_recorder,
     candidate_rows,
     read_window,
 )
-from incremental_mapper.evaluation.run import map_source, settle_config
+from incremental_mapper.results.offline_run import map_source, settle_config
 
 parquet = pytest.importorskip('pyarrow.parquet', reason='pyarrow is not installed (extra "report")')
 MOM = {'mom': {'max_points': 100}}

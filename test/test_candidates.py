@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from incremental_mapper.candidates.clusters import (
+from incremental_mapper.candidates.enumeration import base_candidate, candidates, upper_bound
+from incremental_mapper.candidates.model import (
     HEAD,
     Candidate,
     Cluster,
@@ -15,7 +16,6 @@ from incremental_mapper.candidates.clusters import (
     CoreKind,
     CoreMeasurement,
 )
-from incremental_mapper.candidates.enumeration import base_candidate, candidates, upper_bound
 from incremental_mapper.candidates.partitions import elements, make_cluster, partitions
 from incremental_mapper.candidates.spans import ImuStamps
 

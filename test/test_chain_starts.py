@@ -5,8 +5,9 @@ import pymap3d
 import pytest
 
 from incremental_mapper.config import Strategy, make_config
-from incremental_mapper.graph.factors import FactorKind, bias_key, velocity_key
-from incremental_mapper.mapper.mapper import Mapper
+from incremental_mapper.graph.factors import FactorKind
+from incremental_mapper.graph.values import bias_key, velocity_key
+from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.measurements import FixStatus, GnssFix, ImuSample, LidarScan
 
 MS = 1_000_000

@@ -98,7 +98,7 @@ def test_second_ctrl_c_ends_at_once(bag, tmp_path):
 def test_ctrl_c_before_the_first_scan_is_no_failure(light_drive):
     """Nothing was read yet: that the input holds nothing usable would be a false reproach."""
     from incremental_mapper.datasets.open import open_source
-    from incremental_mapper.evaluation.run import Stop, map_source, settle_config
+    from incremental_mapper.results.offline_run import Stop, map_source, settle_config
 
     source = open_source(light_drive)
     stop = Stop()

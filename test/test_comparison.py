@@ -6,7 +6,7 @@ import json
 import pytest
 
 from incremental_mapper.errors import InputError
-from incremental_mapper.evaluation.comparison import compare_graphs, read_graph
+from incremental_mapper.evaluation.graph_comparison import compare_graphs, read_graph
 
 
 @pytest.fixture(scope='module')

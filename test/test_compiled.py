@@ -15,12 +15,12 @@ from numba.core.caching import FunctionCache
 from numba.core.dispatcher import Dispatcher
 
 import incremental_mapper.map as map_package
-from incremental_mapper import compiled, criteria, graph
+from incremental_mapper import compiled, scoring, smoothing
 from incremental_mapper.compiled import kernel
 
 MODULES = [
     importlib.import_module(f'{package.__name__}.{item.name}')
-    for package in (criteria, graph, map_package)
+    for package in (scoring, smoothing, map_package)
     for item in pkgutil.iter_modules(package.__path__)
 ]
 KERNELS = [
@@ -33,7 +33,7 @@ LOADED = f"""
 import sys
 sys.path.insert(0, {str(Path(__file__).parent)!r})
 import test_compiled
-from incremental_mapper.mapper.kernels import load_kernels
+from incremental_mapper.mapping.kernels import load_kernels
 def types():
     return [(item.py_func.__name__, item.signatures) for item in test_compiled.KERNELS]
 load_kernels()
@@ -48,7 +48,7 @@ for counts in zip(*[(stat.cache_hits.total(), stat.cache_misses.total()) for sta
 
 def run(program, before='', **environment):
     """What a process of its own prints, where nothing else has been compiled."""
-    package = Path(criteria.__path__[0]).parents[1]
+    package = Path(scoring.__path__[0]).parents[1]
     done = subprocess.run(
         [sys.executable, '-c', before + textwrap.dedent(program)],
         env={**os.environ, 'PYTHONPATH': str(package), **environment},
@@ -78,7 +78,7 @@ def test_kernel_uses_its_own_file_only(item):
 def test_window_finds_everything_compiled():
     program = """
         import test_mom
-        from incremental_mapper.criteria.mom import choose_judges, fast_scores
+        from incremental_mapper.scoring.mom import choose_judges, fast_scores
         scene = test_mom.jittered(test_mom.room_scene(1), 5, 0.05, 1e-3)
         for given in (scene, test_mom.with_candidates(scene)):
             given.poses.flags.writeable = given.origin.flags.writeable = False
@@ -96,8 +96,8 @@ def test_drive_finds_everything_compiled(light_drive):
     program = f"""
         from pathlib import Path
         from incremental_mapper.datasets.open import open_source
-        from incremental_mapper.evaluation.run import settle_config
-        from incremental_mapper.mapper.mapper import Mapper
+        from incremental_mapper.results.offline_run import settle_config
+        from incremental_mapper.mapping.mapper import Mapper
         source = open_source(Path({str(light_drive)!r}))
         config = settle_config(source, {{'odometry': {{'processes': False}}}}, 'settings')
         mapper = Mapper(config)
@@ -152,7 +152,7 @@ def test_kernel_works_where_the_disk_is_full(monkeypatch):
 def test_processes_of_lidars_do_not_load_the_compiler():
     out = run("""
         import sys
-        import incremental_mapper.mapper.scan_worker
+        import incremental_mapper.frontend.odometry_worker
         print('numba' in sys.modules)
     """)
     assert out.split() == ['False']

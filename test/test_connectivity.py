@@ -5,7 +5,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from incremental_mapper.candidates.clusters import (
+from incremental_mapper.candidates.model import (
     HEAD,
     Candidate,
     Cluster,
@@ -14,14 +14,14 @@ from incremental_mapper.candidates.clusters import (
     CoreMeasurement,
 )
 from incremental_mapper.config import Config
-from incremental_mapper.frontend.geodesy import IDENTITY_ALIGNMENT
-from incremental_mapper.frontend.inertial import EMPTY_SERIES, preintegration_parameters
+from incremental_mapper.frontend.dead_reckoning import State
+from incremental_mapper.frontend.front_end import PreparedFix
+from incremental_mapper.frontend.gnss import IDENTITY_ALIGNMENT
+from incremental_mapper.frontend.imu_preintegration import EMPTY_SERIES, preintegration_parameters
+from incremental_mapper.frontend.scan_preparation import PreparedScan
 from incremental_mapper.graph.connectivity import UnionFind
-from incremental_mapper.mapper.front_end import PreparedFix
-from incremental_mapper.mapper.local_graph import WindowFactors, WindowInputs
-from incremental_mapper.mapper.prediction import State
-from incremental_mapper.mapper.scan_preparer import PreparedScan
-from incremental_mapper.mapper.state import Frontier
+from incremental_mapper.graph.factor_builder import WindowFactors, WindowInputs
+from incremental_mapper.graph.frontier import Frontier
 
 edges = st.lists(st.tuples(st.integers(0, 15), st.integers(0, 15)), max_size=30)
 

@@ -22,9 +22,9 @@ from evo.tools import file_interface
 
 from incremental_mapper.cli.main import main
 from incremental_mapper.datasets.truth import read_truth
-from incremental_mapper.evaluation.trajectory_error import match_truth, trajectory_errors
 from incremental_mapper.measurements import NANOSECONDS
-from incremental_mapper.trajectory import read_tum
+from incremental_mapper.results.trajectory_errors import trajectory_errors
+from incremental_mapper.trajectory import match_truth, read_tum
 
 STRATEGIES = ('base', 'min_solver_error')
 SECONDS = 1.4

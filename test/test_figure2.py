@@ -28,7 +28,7 @@ def test_base_leaves_the_fix_unconnected_and_the_method_does_not(figure2, tmp_pa
 
 
 def test_the_loose_variable_is_that_of_the_fix(figure2):
-    from incremental_mapper.evaluation.graph_picture import loose_variables
+    from incremental_mapper.visualization.graph_picture import loose_variables
 
     stats, graph = figure2.run('base')
     loose = loose_variables(graph)

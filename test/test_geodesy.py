@@ -9,16 +9,17 @@ from hypothesis import strategies as st
 
 from incremental_mapper.config import GnssSettings
 from incremental_mapper.errors import MeasurementError
-from incremental_mapper.frontend.geodesy import (
+from incremental_mapper.frontend.gnss import (
     IDENTITY_ALIGNMENT,
     Alignment,
     Datum,
     align_track,
     checked_covariance,
 )
-from incremental_mapper.graph.factors import gnss_factor, pose_key, pose_prior, pose_sigmas
-from incremental_mapper.graph.solver import squared_error
+from incremental_mapper.graph.factors import gnss_factor, pose_prior, pose_sigmas
+from incremental_mapper.graph.values import pose_key
 from incremental_mapper.measurements import FixStatus, GnssFix
+from incremental_mapper.smoothing.batch import squared_error
 
 DATUM = Datum(36.5, 127.25, 50.0)
 SETTINGS = GnssSettings()

@@ -6,13 +6,14 @@ import pymap3d
 import pytest
 from scipy.spatial.transform import Rotation
 
-from incremental_mapper.candidates.clusters import CoreKind, CoreMeasurement
+from incremental_mapper.candidates.model import CoreKind, CoreMeasurement
 from incremental_mapper.config import make_config
-from incremental_mapper.mapper.front_end import PreparedFix
-from incremental_mapper.mapper.georeference import agreeing_track, fix_spread
-from incremental_mapper.mapper.mapper import Mapper
-from incremental_mapper.mapper.state import GraphState, PlacedFix
+from incremental_mapper.frontend.front_end import PreparedFix
+from incremental_mapper.mapping.georeferencing import agreeing_track
+from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.measurements import FixStatus, GnssFix, ImuSample, LidarScan
+from incremental_mapper.selection.window_inputs import fix_spread
+from incremental_mapper.smoothing.graph_state import GraphState, PlacedFix
 
 SECOND = 1_000_000_000
 EPOCH = 1_544_676_777_000_000_000

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from incremental_mapper.config import ImuSettings
-from incremental_mapper.frontend.inertial import (
+from incremental_mapper.frontend.imu_preintegration import (
     EMPTY_SERIES,
     ImuSeries,
     level_rotation,

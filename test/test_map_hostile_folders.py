@@ -8,8 +8,8 @@ import pymap3d
 import pytest
 
 from incremental_mapper.datasets.truth import read_truth
-from incremental_mapper.evaluation.trajectory_error import match_truth
 from incremental_mapper.measurements import NANOSECONDS
+from incremental_mapper.trajectory import match_truth
 
 STATE, LATITUDE, LONGITUDE = 6, 1, 2
 

@@ -12,8 +12,8 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from incremental_mapper.datasets.truth import read_truth
-from incremental_mapper.evaluation.trajectory_error import match_truth
 from incremental_mapper.graph.factors import FactorKind
+from incremental_mapper.trajectory import match_truth
 
 KEYS = [
     'strategy',

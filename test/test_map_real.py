@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from incremental_mapper.datasets.truth import read_truth
-from incremental_mapper.evaluation.trajectory_error import match_truth
+from incremental_mapper.trajectory import match_truth
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT.parent / 'shared' / 'data'

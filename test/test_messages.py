@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from incremental_mapper.datasets.messages import (
+from incremental_mapper.datasets.message_conversion import (
     describe_times,
     fix_from_message,
     imu_from_message,

@@ -11,17 +11,21 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from incremental_mapper.config import MomSettings
-from incremental_mapper.criteria import mom
-from incremental_mapper.criteria.criterion import Mom, Proposal, score_all
-from incremental_mapper.criteria.mom import (
+from incremental_mapper.scoring import mom
+from incremental_mapper.scoring.mom import (
     Scene,
     choose_judges,
     direct_score,
     fast_score,
     fast_scores,
 )
-from incremental_mapper.criteria.neighbourhoods import Rim
-from incremental_mapper.criteria.planes import MAX_AXES, orthogonal_families, spread_positions
+from incremental_mapper.scoring.neighbourhoods import Rim
+from incremental_mapper.scoring.plane_families import (
+    MAX_AXES,
+    orthogonal_families,
+    spread_positions,
+)
+from incremental_mapper.scoring.strategies import Mom, Proposal, score_all
 
 SETTINGS = MomSettings()
 ORIGIN = np.array([300.0, -200.0, 20.0])

@@ -11,16 +11,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from incremental_mapper.criteria.eigen import full_matrices, smallest_eigen
-from incremental_mapper.criteria.moments import COUNT, covariances, sum_products
-from incremental_mapper.criteria.neighbourhoods import (
+from incremental_mapper.scoring.eigen import full_matrices, smallest_eigen
+from incremental_mapper.scoring.moment_update import ROUNDING, largest_drifts, moved_covariances
+from incremental_mapper.scoring.moments import COUNT, covariances, sum_products
+from incremental_mapper.scoring.neighbourhoods import (
     find_rim,
     make_grid,
     moments_around,
     moments_of_parts,
     shared_neighbourhoods,
 )
-from incremental_mapper.criteria.shell import ROUNDING, largest_drifts, moved_covariances
 
 ACCURACY = 1e-14
 """Of an eigenvalue, in parts of the largest one."""

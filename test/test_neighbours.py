@@ -4,9 +4,9 @@ import numpy as np
 from hypothesis import example, given, settings
 from test_search import windows
 
-from incremental_mapper.candidates.clusters import CoreKind, CoreMeasurement
 from incremental_mapper.candidates.enumeration import base_candidate, candidates
-from incremental_mapper.candidates.neighbours import neighbours
+from incremental_mapper.candidates.local_moves import neighbours
+from incremental_mapper.candidates.model import CoreKind, CoreMeasurement
 from incremental_mapper.candidates.spans import ImuStamps
 
 # One sample: the first and the last cluster of a chain cannot be connected to any other, so that

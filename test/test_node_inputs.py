@@ -27,7 +27,7 @@ from ros_helpers import (
 from sensor_msgs.msg import PointField
 
 from incremental_mapper.config import make_config
-from incremental_mapper.ros.inputs import Inputs
+from incremental_mapper.ros.subscriptions import Inputs
 
 LEFT, RIGHT, IMU, FIX = '/points_left', '/points_right', '/imu', '/fix'
 

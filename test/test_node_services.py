@@ -20,9 +20,9 @@ from ros_helpers import (
     map_offline,
 )
 
-from incremental_mapper.criteria.criterion import StrategyPlan, register
 from incremental_mapper.errors import ConfigError
 from incremental_mapper.ros import saving as saving_module
+from incremental_mapper.scoring.strategies import StrategyPlan, register
 
 
 def vertices(folder):

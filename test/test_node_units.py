@@ -19,15 +19,15 @@ from incremental_mapper.config import (
     TimeJumpSettings,
 )
 from incremental_mapper.datasets.open import open_source
-from incremental_mapper.evaluation.run import map_points, settle_config
-from incremental_mapper.mapper.effort import FULL, Effort
-from incremental_mapper.mapper.mapper import Mapper
-from incremental_mapper.mapper.result import NewestState
+from incremental_mapper.mapping.load_shedding import FULL, Effort
+from incremental_mapper.mapping.mapper import Mapper
+from incremental_mapper.mapping.result import NewestState
 from incremental_mapper.measurements import ImuSample, LidarScan
+from incremental_mapper.results.offline_run import map_points, settle_config
 from incremental_mapper.ros.inbox import Command, Inbox, Order, View, effort_at
-from incremental_mapper.ros.jumps import JumpFilter
 from incremental_mapper.ros.live_map import LiveMap, VoxelCloud
-from incremental_mapper.ros.messages import odometry_message, ros_covariance
+from incremental_mapper.ros.result_messages import odometry_message, ros_covariance
+from incremental_mapper.ros.time_jumps import JumpFilter
 from incremental_mapper.ros.transforms import TfTransforms, make_transforms
 
 SECOND = 1_000_000_000

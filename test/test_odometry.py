@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from incremental_mapper.config import OdometryMethod, OdometrySettings, make_config
-from incremental_mapper.frontend.clouds import Sweep, Twist, deskew, to_base
-from incremental_mapper.frontend.odometry import make_matcher
-from incremental_mapper.mapper.front_end import FrontEnd, PreparedFix
-from incremental_mapper.mapper.scan_preparer import PreparedScan, ScanPreparer
+from incremental_mapper.frontend.front_end import FrontEnd, PreparedFix
+from incremental_mapper.frontend.preprocessing import Sweep, Twist, deskew, to_base
+from incremental_mapper.frontend.registration import make_matcher
+from incremental_mapper.frontend.scan_preparation import PreparedScan, ScanPreparer
 from incremental_mapper.measurements import FixStatus, GnssFix, LidarScan
 from incremental_mapper.voxels import thin, voxel_means
 

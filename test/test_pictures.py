@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from incremental_mapper.errors import OutputError
-from incremental_mapper.evaluation.figure import (
+from incremental_mapper.measurements import NANOSECONDS
+from incremental_mapper.trajectory import Trajectory
+from incremental_mapper.visualization.figure import (
     DARK,
     HEIGHT_PX,
     LIGHT,
@@ -18,16 +20,14 @@ from incremental_mapper.evaluation.figure import (
     axes_pixels,
     svg_for_page,
 )
-from incremental_mapper.evaluation.graph_picture import draw_graph, graph_figure, loose_variables
-from incremental_mapper.evaluation.pictures import (
+from incremental_mapper.visualization.graph_picture import draw_graph, graph_figure, loose_variables
+from incremental_mapper.visualization.pictures import (
     WIDE,
     draw_map,
     draw_map_side,
     draw_trajectory,
     side_figure,
 )
-from incremental_mapper.measurements import NANOSECONDS
-from incremental_mapper.trajectory import Trajectory
 
 REASON = 'matplotlib is not installed; pictures need the extra "report"'
 image = pytest.importorskip('matplotlib.image', reason=REASON)

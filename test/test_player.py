@@ -44,9 +44,9 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import BatteryState, Imu, NavSatFix, PointCloud2
 from std_msgs.msg import String
 
-from incremental_mapper.ros import player as player_module
-from incremental_mapper.ros.pace import Pace
-from incremental_mapper.ros.player import PlayOptions, open_player
+from incremental_mapper.ros.player.pace import Pace
+from incremental_mapper.ros.player.playback import PlayOptions, open_player
+from incremental_mapper.ros.player.playback import playback as player_module
 
 CLASSES = {CLOUD: PointCloud2, IMU: Imu, FIX: NavSatFix, TEXT: String}
 ALL = {name: CLASSES[kind] for name, kind, *_ in USUAL}

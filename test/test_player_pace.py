@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from incremental_mapper.ros.pace import Pace
+from incremental_mapper.ros.player.pace import Pace
 
 START = 1_700_000_000_000_000_000
 SECOND = 1_000_000_000

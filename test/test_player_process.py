@@ -199,7 +199,7 @@ def test_ros_that_does_not_start(bag, domain, capsys, monkeypatch):
 def test_without_rclpy(bag, capsys, monkeypatch):
     for name in [name for name in sys.modules if name.split('.')[0] == 'rclpy']:
         monkeypatch.delitem(sys.modules, name)
-    monkeypatch.delitem(sys.modules, 'incremental_mapper.ros.player', raising=False)
+    monkeypatch.delitem(sys.modules, 'incremental_mapper.ros.player.playback', raising=False)
     monkeypatch.setitem(sys.modules, 'rclpy', None)
     assert main(['play', str(bag)]) == 1
     err = capsys.readouterr().err

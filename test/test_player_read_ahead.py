@@ -7,7 +7,7 @@ from itertools import count
 
 import pytest
 
-from incremental_mapper.ros.read_ahead import read_ahead
+from incremental_mapper.ros.player.read_ahead import read_ahead
 
 
 def wait_until(true):

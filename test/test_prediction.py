@@ -4,11 +4,15 @@ import gtsam
 import numpy as np
 import pytest
 
-from incremental_mapper.candidates.clusters import CoreKind, CoreMeasurement
+from incremental_mapper.candidates.model import CoreKind, CoreMeasurement
 from incremental_mapper.config import ImuSettings
-from incremental_mapper.frontend.inertial import EMPTY_SERIES, ImuSeries, preintegration_parameters
-from incremental_mapper.mapper.prediction import State, predict, propagate
-from incremental_mapper.mapper.scan_preparer import PreparedScan
+from incremental_mapper.frontend.dead_reckoning import State, predict, propagate
+from incremental_mapper.frontend.imu_preintegration import (
+    EMPTY_SERIES,
+    ImuSeries,
+    preintegration_parameters,
+)
+from incremental_mapper.frontend.scan_preparation import PreparedScan
 
 MS = 1_000_000
 PARAMETERS = preintegration_parameters(ImuSettings(), np.eye(4))

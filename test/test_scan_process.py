@@ -12,10 +12,10 @@ import pytest
 from incremental_mapper.config import merge
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.errors import MeasurementError
-from incremental_mapper.evaluation.run import map_source, settle_config
-from incremental_mapper.mapper.mapper import Mapper
-from incremental_mapper.mapper.scan_process import LocalStation, ProcessStation
+from incremental_mapper.frontend.odometry_process import LocalStation, ProcessStation
+from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.measurements import LidarScan
+from incremental_mapper.results.offline_run import map_source, settle_config
 
 BASE = {'selection': {'strategy': 'min_time_shift'}, 'odometry': {'method': 'gicp'}}
 

@@ -6,11 +6,11 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from incremental_mapper.candidates.clusters import CoreKind, CoreMeasurement
 from incremental_mapper.candidates.enumeration import candidates, upper_bound
+from incremental_mapper.candidates.model import CoreKind, CoreMeasurement
 from incremental_mapper.candidates.partitions import elements
-from incremental_mapper.candidates.search import by_time_shift
 from incremental_mapper.candidates.spans import ImuStamps
+from incremental_mapper.candidates.time_shift_search import by_time_shift
 
 SENSORS = {'left': CoreKind.LIDAR, 'right': CoreKind.LIDAR, 'gps': CoreKind.GNSS}
 

@@ -6,17 +6,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from incremental_mapper.graph.belief import Belief, shrink
 from incremental_mapper.graph.factors import (
     FactorKind,
     between_factor,
     gnss_factor,
-    pose_key,
     pose_prior,
     pose_sigmas,
 )
-from incremental_mapper.graph.growth import adopt, extend
-from incremental_mapper.graph.problem import AGREEMENT, NEAR, Problem, SharedProblem
+from incremental_mapper.graph.values import pose_key
+from incremental_mapper.smoothing.gauss_newton import AGREEMENT, NEAR, Problem, SharedProblem
+from incremental_mapper.smoothing.marginal_prior import Belief, shrink
+from incremental_mapper.smoothing.smoother import adopt, extend
 
 STEP = gtsam.Pose3(gtsam.Rot3.Ypr(0.05, 0.0, 0.01), np.array([1.0, 0.1, 0.0]))
 

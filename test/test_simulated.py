@@ -10,7 +10,7 @@ import pymap3d
 import pytest
 
 from incremental_mapper.cli import simulate as command
-from incremental_mapper.datasets.simulated import gnss
+from incremental_mapper.datasets.simulated import receiver as gnss
 from incremental_mapper.datasets.simulated.folder import simulate
 from incremental_mapper.datasets.simulated.options import (
     MotionKind,

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from incremental_mapper.datasets.simulated import gnss
+from incremental_mapper.datasets.simulated import receiver as gnss
 from incremental_mapper.datasets.simulated.folder import make_drive
-from incremental_mapper.datasets.simulated.inertial import (
+from incremental_mapper.datasets.simulated.imu import (
     GRAVITY,
     measured_samples,
     true_samples,

@@ -5,16 +5,14 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from incremental_mapper.evaluation.trajectory_error import (
+from incremental_mapper.measurements import NANOSECONDS
+from incremental_mapper.results.trajectory_errors import (
     consecutive_pairs,
-    fit_rigid,
-    match_truth,
     pairs_apart,
     relative_pose_errors,
     trajectory_errors,
 )
-from incremental_mapper.measurements import NANOSECONDS
-from incremental_mapper.trajectory import Trajectory, from_matrices
+from incremental_mapper.trajectory import Trajectory, fit_rigid, from_matrices, match_truth
 
 START = 1_544_590_798_123_456_789
 SEEDS = st.integers(0, 2**32 - 1)

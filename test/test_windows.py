@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from incremental_mapper.config import WindowSettings
+from incremental_mapper.mapping.window_buffer import LEAP_WITNESSES, WindowBuffer
 from incremental_mapper.measurements import FixStatus, GnssFix, ImuSample, LidarScan
-from incremental_mapper.windows.buffer import LEAP_WITNESSES, WindowBuffer
 
 MS = 1_000_000
 EPOCH = 1_544_676_777_000_000_000

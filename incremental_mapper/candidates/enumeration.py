@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from itertools import combinations, pairwise
 
-from incremental_mapper.candidates.clusters import HEAD, Candidate, Cluster, Connection
+from incremental_mapper.candidates.model import HEAD, Candidate, Cluster, Connection
 from incremental_mapper.candidates.partitions import Element, partitions
 from incremental_mapper.candidates.spans import ImuStamps
 

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import combinations, groupby
 
-from incremental_mapper.candidates.clusters import Cluster, CoreKind, CoreMeasurement
+from incremental_mapper.candidates.model import Cluster, CoreKind, CoreMeasurement
 
 Element = tuple[CoreMeasurement, ...]
 """Core measurements with the same stamp: they are never split."""

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from incremental_mapper.errors import ConfigError
-from incremental_mapper.evaluation.finished import FinishedRun
 from incremental_mapper.evaluation.inspection import Inspection, Row, inspect_window, window_at
+from incremental_mapper.results.finished_run import FinishedRun
 
 WIDTH = 100
 """Columns of a terminal that the text is laid out for."""

@@ -9,11 +9,11 @@ from tqdm import tqdm
 
 from incremental_mapper.cli import exit_status
 from incremental_mapper.config import Tree, merge, read_yaml
-from incremental_mapper.criteria.criterion import strategy_names
-from incremental_mapper.evaluation.run import Stop
-from incremental_mapper.evaluation.run_folder import map_into, open_drive
-from incremental_mapper.evaluation.summary import summary
-from incremental_mapper.mapper.output import prepare_folder
+from incremental_mapper.results.offline_run import Stop
+from incremental_mapper.results.run_files import prepare_folder
+from incremental_mapper.results.run_folder import map_into, open_drive
+from incremental_mapper.results.summary import summary
+from incremental_mapper.scoring.strategies import strategy_names
 
 
 def add_parser(subparsers: Any) -> None:

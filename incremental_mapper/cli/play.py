@@ -69,7 +69,7 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the command; raises MapperError where the bag cannot be played."""
     try:
-        from incremental_mapper.ros.player import PlayOptions, open_player
+        from incremental_mapper.ros.player.playback import PlayOptions, open_player
     except ImportError as error:
         if (error.name or '').split('.')[0] == 'incremental_mapper':
             raise

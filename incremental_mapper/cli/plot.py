@@ -7,10 +7,10 @@ from typing import Any
 
 from incremental_mapper.datasets.open import read_truth
 from incremental_mapper.errors import ConfigError
-from incremental_mapper.evaluation.figure import THEMES, WHOLE, check_suffix
-from incremental_mapper.evaluation.finished import FinishedRun
-from incremental_mapper.evaluation.graph_picture import draw_graph
-from incremental_mapper.evaluation.pictures import WIDE, draw_map, draw_map_side, draw_trajectory
+from incremental_mapper.results.finished_run import FinishedRun
+from incremental_mapper.visualization.figure import THEMES, WHOLE, check_suffix
+from incremental_mapper.visualization.graph_picture import draw_graph
+from incremental_mapper.visualization.pictures import WIDE, draw_map, draw_map_side, draw_trajectory
 
 TIME = 'seconds since the first cluster, or a stamp (seconds from 1e8, nanoseconds from 1e15 on)'
 TRUTH_NAME = 'truth.tum'

@@ -1,1 +1,1 @@
-"""datasets."""
+"""Datasets: folders, bags and messages in, measurements with integer stamps out."""

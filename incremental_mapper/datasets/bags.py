@@ -12,14 +12,14 @@ from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
 from incremental_mapper.config import Tree, make_config, merge, read_yaml
-from incremental_mapper.datasets.messages import (
+from incremental_mapper.datasets.message_conversion import (
     describe_times,
     fix_from_message,
     header_stamp,
     imu_from_message,
     scan_from_message,
 )
-from incremental_mapper.datasets.selection import listed_lidars, offset_nanoseconds
+from incremental_mapper.datasets.sensor_settings import listed_lidars, offset_nanoseconds
 from incremental_mapper.datasets.source import SourceInfo
 from incremental_mapper.datasets.topics import Choice, Topic, choose_topics, find_truth_topic
 from incremental_mapper.datasets.truth import find_truth

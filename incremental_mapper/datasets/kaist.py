@@ -18,7 +18,7 @@ from incremental_mapper.datasets.kaist_files import (
     read_recording,
     read_scan_folder,
 )
-from incremental_mapper.datasets.selection import listed_lidars, offset_nanoseconds
+from incremental_mapper.datasets.sensor_settings import listed_lidars, offset_nanoseconds
 from incremental_mapper.datasets.source import SourceInfo
 from incremental_mapper.datasets.truth import find_truth
 from incremental_mapper.errors import InputError, MeasurementError

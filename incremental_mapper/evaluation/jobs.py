@@ -9,9 +9,9 @@ from pathlib import Path
 from incremental_mapper.config import Tree, merge
 from incremental_mapper.errors import MapperError, OutputError
 from incremental_mapper.evaluation import cache
-from incremental_mapper.evaluation.run_folder import map_into, open_drive
 from incremental_mapper.evaluation.workers import stop_of_this_process
-from incremental_mapper.mapper.output import prepare_folder
+from incremental_mapper.results.run_files import prepare_folder
+from incremental_mapper.results.run_folder import map_into, open_drive
 from incremental_mapper.trajectory import Trajectory, write_tum
 
 FAILURE_FILE = 'failure.txt'

@@ -14,12 +14,12 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from incremental_mapper.config import MomSettings
-from incremental_mapper.criteria.eigen import smallest_eigen
-from incremental_mapper.criteria.moments import COUNT, covariances
-from incremental_mapper.criteria.neighbourhoods import moments_around
-from incremental_mapper.criteria.planes import spread_positions
-from incremental_mapper.evaluation.finished import FinishedRun
 from incremental_mapper.geometry import transform_points
+from incremental_mapper.results.finished_run import FinishedRun
+from incremental_mapper.scoring.eigen import smallest_eigen
+from incremental_mapper.scoring.moments import COUNT, covariances
+from incremental_mapper.scoring.neighbourhoods import moments_around
+from incremental_mapper.scoring.plane_families import spread_positions
 from incremental_mapper.trajectory import Trajectory
 
 PLACES = 4000

@@ -11,19 +11,17 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from incremental_mapper.evaluation.finished import FinishedRun
 from incremental_mapper.evaluation.metrics import OF_MAPS, OF_STATISTICS, Metrics
 from incremental_mapper.evaluation.segments import Motion, Segment, segment_indices
-from incremental_mapper.evaluation.trajectory_error import (
+from incremental_mapper.geometry import transform_points
+from incremental_mapper.measurements import NANOSECONDS
+from incremental_mapper.results.finished_run import FinishedRun
+from incremental_mapper.results.trajectory_errors import (
     consecutive_pairs,
-    fit_rigid,
-    match_truth,
     pairs_apart,
     relative_pose_errors,
 )
-from incremental_mapper.geometry import transform_points
-from incremental_mapper.measurements import NANOSECONDS
-from incremental_mapper.trajectory import Trajectory
+from incremental_mapper.trajectory import Trajectory, fit_rigid, match_truth
 
 Segments = tuple[Segment, ...]
 

@@ -16,7 +16,7 @@ from types import TracebackType
 from typing import Any, Protocol, Self, TypeVar
 
 from incremental_mapper.errors import MapperError
-from incremental_mapper.evaluation.run import Stop
+from incremental_mapper.results.offline_run import Stop
 
 Item = TypeVar('Item')
 Result = TypeVar('Result')

@@ -1,8 +1,4 @@
-"""Variables and factors: a GTSAM factor together with what it was made of.
-
-Keys follow GTSAM's habit: ``x`` pose T_map_base, ``v`` velocity of base_link in the map (m/s),
-``b`` accelerometer and gyroscope bias, each with the number of its cluster.
-"""
+"""Factors: a GTSAM factor together with what it was made of."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from incremental_mapper.config import GraphSettings
+from incremental_mapper.graph.values import bias_key, pose_key, velocity_key
 
 
 class FactorKind(StrEnum):
@@ -34,36 +31,6 @@ class FactorKind(StrEnum):
 
 CONTINUITY = frozenset({FactorKind.CONTINUITY_VELOCITY, FactorKind.CONTINUITY_BIAS})
 """What carries velocity and bias over to a chain of IMU spans that starts anew."""
-
-
-def pose_key(cluster: int) -> int:
-    """Key of a cluster's pose."""
-    return int(gtsam.symbol('x', cluster))
-
-
-def velocity_key(cluster: int) -> int:
-    """Key of a cluster's velocity."""
-    return int(gtsam.symbol('v', cluster))
-
-
-def bias_key(cluster: int) -> int:
-    """Key of a cluster's IMU bias."""
-    return int(gtsam.symbol('b', cluster))
-
-
-def cluster_of(key: int) -> int:
-    """Number of the cluster that a variable belongs to."""
-    return key & ((1 << 56) - 1)  # as gtsam.Symbol(key).index(), without making one
-
-
-def kind_of(key: int) -> str:
-    """Letter of a variable: ``x``, ``v`` or ``b``."""
-    return chr(key >> 56)  # as gtsam.Symbol(key).chr(), without making one
-
-
-def key_name(key: int) -> str:
-    """Readable name of a key, for example ``x12``."""
-    return f'{kind_of(key)}{cluster_of(key)}'
 
 
 Describe: TypeAlias = Callable[[Any], dict[str, Any]]

@@ -10,7 +10,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from incremental_mapper.map.voxel_sums import mean_points
+from incremental_mapper.map.voxel_grid import mean_points
 
 CHUNK = 2_000_000
 """Points that are gathered before they are thinned."""

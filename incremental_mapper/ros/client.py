@@ -20,8 +20,8 @@ from std_srvs.srv import Trigger
 
 from incremental_mapper.errors import InputError
 from incremental_mapper.measurements import NANOSECONDS
-from incremental_mapper.ros.messages import read_status
-from incremental_mapper.ros.outputs import reliable
+from incremental_mapper.ros.publishers import reliable
+from incremental_mapper.ros.result_messages import read_status
 
 DEPTH = 10_000
 """Messages that may wait: a client that counts must not lose any."""

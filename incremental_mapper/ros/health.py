@@ -7,11 +7,11 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from std_msgs.msg import Header
 
-from incremental_mapper.mapper.effort import FULL
-from incremental_mapper.mapper.statistics import STAGES
+from incremental_mapper.mapping.load_shedding import FULL
+from incremental_mapper.mapping.statistics import STAGES
 from incremental_mapper.measurements import Drops
-from incremental_mapper.ros.inputs import GNSS, Inputs
-from incremental_mapper.ros.messages import status
+from incremental_mapper.ros.result_messages import status
+from incremental_mapper.ros.subscriptions import GNSS, Inputs
 from incremental_mapper.ros.worker import WindowUpdate, Worker
 
 MAPPER_KEYS = ('windows', 'clusters', 'vertices', 'factors', 'components', 'georeferenced')

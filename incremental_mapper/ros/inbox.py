@@ -8,7 +8,7 @@ from enum import StrEnum
 from typing import TypeAlias
 
 from incremental_mapper.config import QueueSettings
-from incremental_mapper.mapper.effort import FULL, Effort
+from incremental_mapper.mapping.load_shedding import FULL, Effort
 from incremental_mapper.measurements import Drops, ImuSample, LidarScan, Measurement
 
 SHRINK_FROM, MERGE_FROM, MERGE_MORE_FROM = 0.2, 0.5, 0.75

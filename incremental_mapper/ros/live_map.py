@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from incremental_mapper.config import Config
 from incremental_mapper.geometry import transform_points
-from incremental_mapper.graph.factors import Factor, FactorKind, cluster_of, pose_numbers
-from incremental_mapper.mapper.mapper import Mapper
-from incremental_mapper.mapper.state import GraphState, PlacedScan
+from incremental_mapper.graph.factors import Factor, FactorKind, pose_numbers
+from incremental_mapper.graph.values import cluster_of
+from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.measurements import NANOSECONDS
+from incremental_mapper.smoothing.graph_state import GraphState, PlacedScan
 
 _BITS = 21
 """Bits of a voxel's key for each axis."""

@@ -10,7 +10,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from incremental_mapper.graph.factors import FactorKind
 from incremental_mapper.ros.live_map import GraphView
-from incremental_mapper.ros.messages import header
+from incremental_mapper.ros.result_messages import header
 
 _COLOURS = {
     str(FactorKind.ODOMETRY): (0.9, 0.6, 0.0),

@@ -23,12 +23,12 @@ from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 
 from incremental_mapper.errors import ConfigError, MapperError
-from incremental_mapper.mapper.effort import FULL
+from incremental_mapper.mapping.load_shedding import FULL
 from incremental_mapper.ros.health import Health
 from incremental_mapper.ros.inbox import Command, Deadline, Order
-from incremental_mapper.ros.inputs import Inputs
-from incremental_mapper.ros.outputs import Outputs
 from incremental_mapper.ros.parameters import NodeParameters
+from incremental_mapper.ros.publishers import Outputs
+from incremental_mapper.ros.subscriptions import Inputs
 from incremental_mapper.ros.worker import (
     Reply,
     Restarted,

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from incremental_mapper.errors import OutputError
-from incremental_mapper.evaluation.run import Run, complete_stats, map_points
-from incremental_mapper.evaluation.summary import draw_pictures
-from incremental_mapper.mapper.mapper import Mapper
-from incremental_mapper.mapper.output import write_result
+from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.measurements import Drops
+from incremental_mapper.results.offline_run import Run, complete_stats, map_points
+from incremental_mapper.results.run_files import write_result
+from incremental_mapper.results.summary import draw_pictures
 
 
 @dataclass(frozen=True, slots=True)

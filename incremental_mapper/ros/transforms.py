@@ -8,7 +8,7 @@ from rclpy.node import Node
 
 from incremental_mapper.config import FrameSettings
 from incremental_mapper.graph.factors import pose_numbers
-from incremental_mapper.ros.messages import header
+from incremental_mapper.ros.result_messages import header
 
 
 class Transforms(Protocol):

@@ -16,17 +16,17 @@ from numpy.typing import NDArray
 
 from incremental_mapper.config import Config
 from incremental_mapper.errors import MapperError
-from incremental_mapper.mapper.effort import FULL, Effort
-from incremental_mapper.mapper.mapper import Mapper
-from incremental_mapper.mapper.result import NewestState, WindowResult
-from incremental_mapper.mapper.state import PlacedScan
-from incremental_mapper.mapper.statistics import peak_rss_mb
+from incremental_mapper.mapping.load_shedding import FULL, Effort
+from incremental_mapper.mapping.mapper import Mapper
+from incremental_mapper.mapping.result import NewestState, WindowResult
+from incremental_mapper.mapping.statistics import peak_rss_mb
 from incremental_mapper.measurements import Drops, Measurement
 from incremental_mapper.ros.inbox import Command, Deadline, Inbox, Order, View
-from incremental_mapper.ros.inputs import GNSS, IMU
-from incremental_mapper.ros.jumps import JumpFilter
 from incremental_mapper.ros.live_map import GraphView, LiveMap, PathView
 from incremental_mapper.ros.saving import save_map
+from incremental_mapper.ros.subscriptions import GNSS, IMU
+from incremental_mapper.ros.time_jumps import JumpFilter
+from incremental_mapper.smoothing.graph_state import PlacedScan
 
 SHUTDOWN, FAILED = 'shutdown', 'mapper_failed'
 

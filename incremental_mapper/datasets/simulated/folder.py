@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from incremental_mapper.datasets.simulated import gnss
-from incremental_mapper.datasets.simulated.inertial import measured_samples
+from incremental_mapper.datasets.simulated import receiver as gnss
+from incremental_mapper.datasets.simulated.imu import measured_samples
 from incremental_mapper.datasets.simulated.lidar import Lidar, RayCaster, load_embree
 from incremental_mapper.datasets.simulated.motion import Drive
 from incremental_mapper.datasets.simulated.options import MIN_DURATION, SimulationOptions

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from incremental_mapper.datasets.simulated.smoothing import step, step_slope
+from incremental_mapper.datasets.simulated.smooth_step import step, step_slope
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from incremental_mapper.datasets.simulated.options import MotionKind
 from incremental_mapper.datasets.simulated.route import Route
-from incremental_mapper.datasets.simulated.smoothing import step, step_integral, step_slope
+from incremental_mapper.datasets.simulated.smooth_step import step, step_integral, step_slope
 
 Array = NDArray[np.float64]
 

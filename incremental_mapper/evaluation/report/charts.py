@@ -8,13 +8,12 @@ import numpy as np
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from incremental_mapper.evaluation.figure import Look, Theme, box, new_figure, plain
-from incremental_mapper.evaluation.finished import FinishedRun
 from incremental_mapper.evaluation.table import BASE
-from incremental_mapper.evaluation.trajectory_error import fit_rigid, match_truth
 from incremental_mapper.geometry import transform_points
 from incremental_mapper.measurements import NANOSECONDS
-from incremental_mapper.trajectory import Trajectory
+from incremental_mapper.results.finished_run import FinishedRun
+from incremental_mapper.trajectory import Trajectory, fit_rigid, match_truth
+from incremental_mapper.visualization.figure import Look, Theme, box, new_figure, plain
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

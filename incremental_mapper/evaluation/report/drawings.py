@@ -4,14 +4,18 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from incremental_mapper.evaluation.figure import PAGE, Look, css_colour, svg_for_page
-from incremental_mapper.evaluation.finished import FinishedRun
-from incremental_mapper.evaluation.graph_picture import graph_figure, graph_legend, loose_variables
-from incremental_mapper.evaluation.pictures import map_figure, side_figure, trajectory_figure
 from incremental_mapper.evaluation.report.charts import progress_figure
 from incremental_mapper.evaluation.report.contents import Sequence
 from incremental_mapper.evaluation.table import BASE
 from incremental_mapper.measurements import NANOSECONDS
+from incremental_mapper.results.finished_run import FinishedRun
+from incremental_mapper.visualization.figure import PAGE, Look, css_colour, svg_for_page
+from incremental_mapper.visualization.graph_picture import (
+    graph_figure,
+    graph_legend,
+    loose_variables,
+)
+from incremental_mapper.visualization.pictures import map_figure, side_figure, trajectory_figure
 
 GRAPH_SECONDS = 0.8
 """Length of the stretch of graph that fits half of the page's width."""

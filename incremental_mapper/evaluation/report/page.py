@@ -13,7 +13,6 @@ import yaml
 from jinja2 import Environment, StrictUndefined
 
 from incremental_mapper.errors import OutputError
-from incremental_mapper.evaluation.figure import DARK, LIGHT, PAGE, css_colour, css_variables
 from incremental_mapper.evaluation.report import words
 from incremental_mapper.evaluation.report.charts import strategy_colours
 from incremental_mapper.evaluation.report.contents import Contents, Sequence, read_contents
@@ -32,6 +31,7 @@ from incremental_mapper.evaluation.table import (
     Table,
     make_table,
 )
+from incremental_mapper.visualization.figure import DARK, LIGHT, PAGE, css_colour, css_variables
 
 FILE_NAME = 'report.html'
 TEMPLATE, STYLE = 'page.html', 'style.css'

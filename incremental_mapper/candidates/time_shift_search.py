@@ -1,0 +1,107 @@
+"""Candidates in the order of their time shift, without enumerating all of them first.
+
+The total time shift is a sum over clusters and connections, so the cheapest completion of a
+partial candidate follows from dynamic programming; with it as the bound, a best-first search
+yields complete candidates in ascending order and stops whenever the caller has enough.
+"""
+
+import heapq
+from collections.abc import Iterator, Sequence
+from functools import cache
+from itertools import count
+from typing import TypeAlias
+
+from incremental_mapper.candidates.enumeration import connect
+from incremental_mapper.candidates.model import HEAD, Candidate, Cluster
+from incremental_mapper.candidates.partitions import Element, make_cluster
+from incremental_mapper.candidates.spans import ImuStamps
+
+_Links: TypeAlias = tuple[tuple[int, int], ...]
+_Entry: TypeAlias = tuple[
+    int, int, int, int, int | None, tuple[Cluster, ...], tuple[int, ...], _Links
+]
+"""Bound, -position, tie-breaker, position, stamp of the last node, clusters, nodes, links."""
+
+
+def by_time_shift(
+    parts: Sequence[Element], head: int | None, imu: ImuStamps, may_merge: bool = True
+) -> Iterator[Candidate]:
+    """Distinct candidates of a window in ascending order of total time shift.
+
+    Without ``may_merge`` measurements of different stamps never share a cluster.
+    """
+    length = len(parts)
+    if length == 0:
+        return
+
+    @cache
+    def cluster(first: int, last: int) -> Cluster | None:
+        return make_cluster(parts, first, last)
+
+    @cache
+    def sample(start: int | None, end: int) -> int | None:
+        return None if start is None else imu.first_sample(start, end)
+
+    def shift(start: int | None, end: int) -> int:
+        first = sample(start, end)
+        return 0 if start is None or first is None else first - start
+
+    @cache
+    def useful(node: int | None, position: int) -> int | None:
+        # A node that nothing later can be connected to is as good as none.
+        later = (parts[index][0].stamp for index in range(position, length))
+        return node if any(sample(node, stamp) is not None for stamp in later) else None
+
+    def steps(position: int, node: int | None) -> Iterator[tuple[int, Cluster, bool, int]]:
+        # One more cluster: where it ends, itself, whether the chain visits it, and the cost.
+        for last in range(position, length):
+            merged = cluster(position, last)
+            if merged is None or (last > position and not may_merge):
+                return  # a longer cluster holds the same two scans
+            link = shift(node, merged.stamp)
+            yield last + 1, merged, True, merged.time_range + link
+            if last + 1 < length and not (position == 0 and head is None):
+                yield last + 1, merged, False, merged.time_range
+
+    @cache
+    def cheapest(position: int, node: int | None) -> int:
+        if position == length:
+            return 0
+        return min(
+            cost + cheapest(after, merged.stamp if visited else node)
+            for after, merged, visited, cost in steps(position, node)
+        )
+
+    order = count()
+    # Where IMU samples are missing, many chains of nodes make the same connections: each is
+    # followed once, else their number would grow without bound.
+    seen: set[tuple[int | None, tuple[tuple[int, int], ...], _Links]] = set()
+    start_nodes = () if head is None else (HEAD,)
+    heap: list[_Entry] = [(cheapest(0, head), 0, next(order), 0, head, (), start_nodes, ())]
+    while heap:
+        bound, _, _, position, node, clusters, nodes, links = heapq.heappop(heap)
+        bounds = tuple((cluster.first, cluster.last) for cluster in clusters)
+        key = (useful(node, position), bounds, links)
+        if key in seen:
+            continue
+        seen.add(key)
+        if position == length:
+            yield connect(clusters, nodes, head, imu)
+            continue
+        spent = bound - cheapest(position, node)
+        for after, merged, visited, cost in steps(position, node):
+            onward = merged.stamp if visited else node
+            linked = visited and sample(node, merged.stamp) is not None
+            heapq.heappush(
+                heap,
+                (
+                    spent + cost + cheapest(after, onward),
+                    -after,
+                    next(order),
+                    after,
+                    onward,
+                    (*clusters, merged),
+                    (*nodes, len(clusters)) if visited else nodes,
+                    (*links, (nodes[-1], len(clusters))) if linked else links,
+                ),
+            )

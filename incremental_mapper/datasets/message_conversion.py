@@ -1,0 +1,128 @@
+"""ROS messages to measurements, duck-typed: rclpy's messages and those of a bag reader.
+
+Every function raises MeasurementError, with a reason to count, where a message is unusable.
+``offset_ns`` is added to the header stamp.
+"""
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import numpy as np
+
+from incremental_mapper.datasets.point_clouds import cloud_points, cloud_table, point_times
+from incremental_mapper.errors import MeasurementError
+from incremental_mapper.measurements import (
+    NANOSECONDS,
+    GnssFix,
+    ImuSample,
+    LidarScan,
+    Vector,
+    make_fix,
+    make_imu,
+    make_scan,
+)
+
+STATUS_UNKNOWN = -2
+COVARIANCE_UNKNOWN = 0
+
+Value = TypeVar('Value')
+
+
+def header_stamp(message: Any) -> int:
+    """Header stamp in nanoseconds; raises MeasurementError ``no_stamp`` where it is not set."""
+    stamp = message.header.stamp
+    nanoseconds = int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
+    if nanoseconds <= 0:
+        raise MeasurementError('no_stamp', f'the header stamp is {nanoseconds}')
+    return nanoseconds
+
+
+def scan_from_message(
+    message: Any, sensor: str, offset_ns: int = 0, min_points: int = 1
+) -> LidarScan:
+    """A scan of a ``sensor_msgs/PointCloud2``, with the points' times where the cloud has them."""
+
+    def make() -> LidarScan:
+        stamp = header_stamp(message)
+        table = cloud_table(message)
+        points = cloud_points(table)
+        times = point_times(table, stamp, points).seconds
+        return make_scan(stamp + offset_ns, sensor, points, times, min_points)
+
+    return _checked(sensor, make)
+
+
+def describe_times(message: Any) -> str:
+    """What ``scan_from_message`` takes a cloud's time field for, in words for a log."""
+
+    def describe() -> str:
+        table = cloud_table(message)
+        return point_times(table, header_stamp(message), cloud_points(table)).note
+
+    return _checked('cloud', describe)
+
+
+def fix_from_message(message: Any, sensor: str = 'gnss', offset_ns: int = 0) -> GnssFix:
+    """A fix of a ``sensor_msgs/NavSatFix``."""
+
+    def make() -> GnssFix:
+        stamp = header_stamp(message)
+        status = getattr(getattr(message, 'status', None), 'status', None)
+        if status is None or int(status) <= STATUS_UNKNOWN:
+            raise MeasurementError('no_status', f'the status of the fix is {status}')
+        covariance = None
+        if int(message.position_covariance_type) != COVARIANCE_UNKNOWN:
+            covariance = np.asarray(message.position_covariance, dtype=np.float64)
+        return make_fix(
+            stamp + offset_ns,
+            sensor,
+            float(message.latitude),
+            float(message.longitude),
+            float(message.altitude),
+            int(status),
+            covariance,
+        )
+
+    return _checked(sensor, make)
+
+
+def imu_from_message(message: Any, sensor: str = 'imu', offset_ns: int = 0) -> ImuSample:
+    """An inertial sample of a ``sensor_msgs/Imu``; a covariance of -1 says "not measured"."""
+
+    def make() -> ImuSample:
+        stamp = header_stamp(message)
+        if _is_absent(message.angular_velocity_covariance):
+            raise MeasurementError('no_gyro', 'the message says that it has no angular velocity')
+        if _is_absent(message.linear_acceleration_covariance):
+            raise MeasurementError('no_acceleration', 'the message says it has no acceleration')
+        turn = message.orientation
+        orientation = None
+        if not _is_absent(message.orientation_covariance):
+            orientation = np.array([turn.x, turn.y, turn.z, turn.w], dtype=np.float64)
+        return make_imu(
+            stamp + offset_ns,
+            sensor,
+            _vector(message.angular_velocity),
+            _vector(message.linear_acceleration),
+            orientation,
+        )
+
+    return _checked(sensor, make)
+
+
+def _checked(sensor: str, make: Callable[[], Value]) -> Value:
+    """Run ``make``; a message that lacks what ``make`` reads becomes a MeasurementError."""
+    try:
+        return make()
+    except (AttributeError, TypeError, ValueError, IndexError) as error:
+        raise MeasurementError(
+            'wrong_type', f'{sensor}: the message has not the expected form ({error})'
+        ) from error
+
+
+def _is_absent(covariance: Any) -> bool:
+    return bool(covariance[0] == -1)
+
+
+def _vector(value: Any) -> Vector:
+    return np.array([value.x, value.y, value.z], dtype=np.float64)

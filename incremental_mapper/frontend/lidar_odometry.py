@@ -1,0 +1,138 @@
+"""The chain of matched scans of one LiDAR: matching, deskewing, and what to do with bad matches."""
+
+from collections import Counter
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from incremental_mapper.config import OdometrySettings
+from incremental_mapper.frontend.preprocessing import STANDING, Sweep, Twist, deskew
+from incremental_mapper.frontend.registration import make_matcher
+from incremental_mapper.measurements import NANOSECONDS
+
+MAX_SURPRISE = 1.5
+"""Metres between two scans that a match may differ from steady motion: no car brakes like that."""
+MAX_REJECTED = 3
+"""After so many bad matches in a row it is the scan they were held against that was bad."""
+RESTARTS = 4
+"""Rounds in which the first two scans and their motion are brought to agree."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ChainLink:
+    """A scan at its stamp in base_link and its odometry.
+
+    ``points`` (N, 3) are in metres. ``previous`` and ``T_previous_current`` are None without
+    odometry. ``usable`` says that the next scan may be matched to this one.
+    """
+
+    points: NDArray[np.float64]
+    previous: int | None = None
+    T_previous_current: gtsam.Pose3 | None = None
+    usable: bool = True
+
+
+class LidarChain:
+    """Matches the scans of one LiDAR; remembers its last good scan and the motion then.
+
+    Scans are matched at the middle of their sweeps. At the stamp, an error of the twist would
+    shift the cloud; the shift would be taken for motion and would never quite die out.
+    """
+
+    def __init__(self, name: str, settings: OdometrySettings, notes: Counter[str]) -> None:
+        self._name = name
+        self._settings = settings
+        self._notes = notes
+        self._begin()
+
+    def _begin(self) -> None:
+        self._matcher = make_matcher(self._settings)
+        self._twist = STANDING
+        self._moment = 0.0  # middle of the last sweep, seconds after its stamp
+        self._stamp: int | None = None
+        self._first: Sweep | None = None  # until the motion is known
+        self._matched = False
+        self._rejected = 0
+
+    def add(self, sweep: Sweep) -> ChainLink:
+        """Match the next scan to the last good one."""
+        settings = self._settings
+        if len(sweep) < settings.min_points:
+            self._note('too few points to match')
+            return ChainLink(self._at_stamp(sweep), usable=False)
+        gap = None if self._stamp is None else (sweep.stamp - self._stamp) / NANOSECONDS
+        if gap is not None and not 0.0 < gap <= settings.max_gap:
+            self._note('gap too long to match')
+            self._begin()
+            gap = None
+        if gap is None:
+            return self._start(sweep)
+        if not self._matched:
+            return self._first_match(sweep, gap)
+        return self._next_match(sweep, gap)
+
+    def _start(self, sweep: Sweep) -> ChainLink:
+        """The scan to which the next one will be matched."""
+        self._matcher.match(deskew(sweep, self._twist, sweep.middle), gtsam.Pose3())
+        self._stamp, self._moment, self._first = sweep.stamp, sweep.middle, sweep
+        return ChainLink(self._at_stamp(sweep))
+
+    def _first_match(self, sweep: Sweep, gap: float) -> ChainLink:
+        """Nobody knows the motion yet: deskewing and matching take turns until they agree."""
+        first = self._first
+        assert first is not None
+        motion = self._accept(sweep, gap)
+        for _ in range(RESTARTS if sweep.times is not None else 0):
+            if motion is None:
+                break
+            before = motion
+            self._matcher = make_matcher(self._settings)
+            self._matcher.match(deskew(first, self._twist, first.middle), gtsam.Pose3())
+            motion = self._accept(sweep, gap)
+            if motion is not None and before.equals(motion, 0.005):
+                break
+        if motion is None:
+            return self._reject(sweep)
+        return self._continue(sweep, motion)
+
+    def _next_match(self, sweep: Sweep, gap: float) -> ChainLink:
+        motion = self._accept(sweep, gap)
+        return self._reject(sweep) if motion is None else self._continue(sweep, motion)
+
+    def _accept(self, sweep: Sweep, gap: float) -> gtsam.Pose3 | None:
+        """Match a scan; None where the match is not to be believed, else the twist follows it."""
+        moment = sweep.middle
+        gap += moment - self._moment
+        match = self._matcher.match(deskew(sweep, self._twist, moment), self._twist.over(gap))
+        if match is None or match.overlap < self._settings.min_overlap:
+            return None
+        tangent = gtsam.Pose3.Logmap(match.T_previous_current) / gap
+        twist = Twist(linear=tangent[3:], angular=tangent[:3])
+        surprise = float(np.linalg.norm(twist.linear - self._twist.linear)) * gap
+        if self._matched and surprise > MAX_SURPRISE:
+            return None
+        before, self._twist = self._twist if self._matched else twist, twist
+        start, end = before.over(self._moment), twist.over(-moment)
+        return start.compose(match.T_previous_current).compose(end)
+
+    def _continue(self, sweep: Sweep, motion: gtsam.Pose3) -> ChainLink:
+        previous, self._stamp, self._moment = self._stamp, sweep.stamp, sweep.middle
+        self._matched, self._rejected, self._first = True, 0, None
+        return ChainLink(self._at_stamp(sweep), previous, motion)
+
+    def _reject(self, sweep: Sweep) -> ChainLink:
+        """Start anew at this scan, with the motion that was known before."""
+        self._note('match rejected')
+        twist, matched, rejected = self._twist, self._matched, self._rejected + 1
+        self._begin()
+        if rejected < MAX_REJECTED:
+            self._twist, self._matched, self._rejected = twist, matched, rejected
+        return self._start(sweep)
+
+    def _at_stamp(self, sweep: Sweep) -> NDArray[np.float64]:
+        return deskew(sweep, self._twist, 0.0)
+
+    def _note(self, text: str) -> None:
+        self._notes[f'{self._name}: {text}'] += 1

@@ -1,0 +1,108 @@
+"""Scans prepared beside the mapper, each LiDAR in a process of its own.
+
+Scan matching holds Python's lock, so threads would not run side by side; the LiDARs' chains know
+nothing of each other, so processes do.
+"""
+
+import os
+import pickle
+import subprocess
+import sys
+from collections import Counter
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any, Protocol
+
+from incremental_mapper.config import Config
+from incremental_mapper.errors import MeasurementError
+from incremental_mapper.frontend.scan_preparation import PreparedScan, ScanPreparer
+from incremental_mapper.measurements import LidarScan
+
+_SINGLE = {name: '1' for name in ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS')}
+"""The processes share the cores among themselves; their libraries' threads would only compete."""
+
+
+class ScanStation(Protocol):
+    """Prepares the scans of one LiDAR in the order in which they are submitted."""
+
+    def submit(self, scan: LidarScan) -> 'Future[PreparedScan]':
+        """Hand over the next scan; its result raises MeasurementError where it cannot be used."""
+
+    def close(self) -> None:
+        """Let go of what the station holds; nothing may be submitted afterwards."""
+
+
+class LocalStation:
+    """Prepares scans at once, in this process."""
+
+    def __init__(self, name: str, config: Config, notes: Counter[str]) -> None:
+        self._preparer = ScanPreparer(name, config, notes)
+
+    def submit(self, scan: LidarScan) -> 'Future[PreparedScan]':
+        """See ScanStation."""
+        future: Future[PreparedScan] = Future()
+        try:
+            future.set_result(self._preparer.prepare(scan))
+        except MeasurementError as error:
+            future.set_exception(error)
+        return future
+
+    def close(self) -> None:
+        """See ScanStation."""
+
+
+class ProcessStation:
+    """Prepares scans in a process of its own; should that die, the next scans stay here."""
+
+    def __init__(self, name: str, config: Config, notes: Counter[str]) -> None:
+        self._name, self._config, self._notes = name, config, notes
+        self._here: ScanPreparer | None = None
+        # In a session of its own, so that Ctrl-C reaches the mapper alone, which then ends it.
+        self._process = subprocess.Popen(
+            [sys.executable, '-m', 'incremental_mapper.frontend.odometry_worker'],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            env={**os.environ, **_SINGLE},
+            start_new_session=True,
+        )
+        # One thread waits for the process; a scan is sent once the one before it is done.
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix=f'scans_{name}')
+        self._thread.submit(self._send, (name, config))
+
+    @property
+    def pid(self) -> int:
+        """Number of the process."""
+        return self._process.pid
+
+    def submit(self, scan: LidarScan) -> 'Future[PreparedScan]':
+        """See ScanStation."""
+        return self._thread.submit(self._exchange, scan)
+
+    def close(self) -> None:
+        """See ScanStation."""
+        self._thread.shutdown(wait=False, cancel_futures=True)
+        self._process.kill()
+        self._process.wait()
+
+    def _send(self, item: Any) -> None:
+        assert self._process.stdin is not None
+        try:
+            pickle.dump(item, self._process.stdin, protocol=pickle.HIGHEST_PROTOCOL)
+            self._process.stdin.flush()
+        except OSError:
+            pass  # no answer will come, which is noticed there
+
+    def _exchange(self, scan: LidarScan) -> PreparedScan:
+        assert self._process.stdout is not None
+        if self._here is None:
+            self._send(scan)
+            try:
+                result, notes = pickle.load(self._process.stdout)
+            except (EOFError, OSError, pickle.UnpicklingError):
+                self._notes[f'{self._name}: its process ended, scans are prepared here'] += 1
+                self._here = ScanPreparer(self._name, self._config, self._notes)
+            else:
+                self._notes.update(notes)
+                if isinstance(result, PreparedScan):
+                    return result
+                raise MeasurementError(*result)
+        return self._here.prepare(scan)

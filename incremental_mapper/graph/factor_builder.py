@@ -1,0 +1,389 @@
+"""The factors of a window's candidates; what candidates share is built once."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+
+from incremental_mapper.candidates.model import (
+    HEAD,
+    Candidate,
+    Cluster,
+    Connection,
+    CoreMeasurement,
+)
+from incremental_mapper.config import Config
+from incremental_mapper.frontend.dead_reckoning import State, propagate, proper
+from incremental_mapper.frontend.front_end import Prepared, PreparedFix
+from incremental_mapper.frontend.gnss import Alignment
+from incremental_mapper.frontend.imu_preintegration import ImuSeries, preintegrate
+from incremental_mapper.frontend.scan_preparation import PreparedScan
+from incremental_mapper.graph.factors import (
+    Factor,
+    FactorKind,
+    between_factor,
+    bias_continuity,
+    bias_prior,
+    gnss_factor,
+    imu_factor,
+    pose_prior,
+    pose_sigmas,
+    velocity_continuity,
+    velocity_prior,
+)
+from incremental_mapper.graph.frontier import Frontier, chain_start
+from incremental_mapper.graph.partition_graph import Partition, Partitions
+from incremental_mapper.graph.values import bias_key, insert_bias, pose_key, velocity_key
+from incremental_mapper.measurements import NANOSECONDS
+
+UNSEEN_ACCELERATION = 2.0
+"""m/s^2 by which a car's acceleration may differ from what the nearest IMU sample says."""
+SHORTEST = NANOSECONDS // 1000
+"""Nanoseconds for which velocity and bias may change at the least, so that no sigma is zero."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WindowInputs:
+    """Everything that the factors of a window are made of."""
+
+    prepared: Mapping[CoreMeasurement, Prepared]
+    states: Mapping[int, State]
+    series: ImuSeries
+    parameters: gtsam.PreintegrationCombinedParams
+    frontier: Frontier
+    head_state: State
+    scan_offsets: Mapping[tuple[str, int], gtsam.Pose3]
+    alignment: Alignment
+    fix_inflation: Mapping[int, float]
+    config: Config
+
+
+class WindowFactors:
+    """Builds candidates' factors; the same cluster has the same keys in every candidate."""
+
+    def __init__(self, inputs: WindowInputs, elements: int) -> None:
+        self._in = inputs
+        self._cache: dict[tuple[object, ...], tuple[Factor, ...]] = {}
+        self._offsets: dict[tuple[int, int], gtsam.Pose3] = {}
+        self._reckoned: dict[int, State] = {}
+        self._partitions = Partitions(inputs.prepared, inputs.frontier, elements)
+        self._sigmas = pose_sigmas(
+            inputs.config.odometry.sigma_translation, inputs.config.odometry.sigma_rotation
+        )
+
+    def local_id(self, cluster: Cluster) -> int:
+        """Number of a cluster while candidates compete; unique within the window."""
+        return self._partitions.number(cluster)
+
+    def home(self, candidate: Candidate) -> Mapping[tuple[str, int], int]:
+        """Cluster of every scan that an odometry of this window may start from."""
+        return self.partition(candidate).homes
+
+    def components(self, candidate: Candidate) -> list[list[Cluster]]:
+        """Clusters by component, without those that reach G(t-1); in time order.
+
+        In the first window there is no G(t-1), and the first component counts as it.
+        """
+        return self.partition(candidate).components(candidate)
+
+    def partition(self, candidate: Candidate) -> Partition:
+        """What it shares with other candidates; the same object for all of them."""
+        return self._partitions.of(candidate)
+
+    def offset(self, cluster: Cluster, stamp: int) -> gtsam.Pose3:
+        """T_cluster_member: the identity, or the predicted motion if that is compensated."""
+        if not self._in.config.graph.motion_compensation or stamp == cluster.stamp:
+            return gtsam.Pose3()
+        key = (cluster.stamp, stamp)
+        if key not in self._offsets:
+            # Dead reckoning from one state keeps the noise of single matches out of this.
+            at = [self._reckon(moment) for moment in key]
+            self._offsets[key] = at[0].pose.between(at[1].pose)
+        return self._offsets[key]
+
+    def _reckon(self, stamp: int) -> State:
+        if stamp not in self._reckoned:
+            inputs = self._in
+            max_gap = round(inputs.config.preintegration.max_gap * NANOSECONDS)
+            self._reckoned[stamp] = propagate(
+                inputs.head_state, stamp, inputs.series, inputs.parameters, max_gap
+            )
+        return self._reckoned[stamp]
+
+    def factors(self, candidate: Candidate, since: int = 0) -> list[Factor]:
+        """All factors of a candidate except priors that hold loose components.
+
+        With ``since`` only those that its clusters from that index on bring along.
+        """
+        partition = self.partition(candidate)
+        made: list[Factor] = []
+        for cluster in candidate.clusters[since:]:
+            if cluster.first not in partition.factors:
+                partition.factors[cluster.first] = self._of_cluster(cluster, partition)
+            made.extend(partition.factors[cluster.first])
+        links = [link for link in candidate.connections if link.end >= since]
+        for link in links:
+            made.extend(self._imu(candidate, link.start, link.end))
+        made.extend(self._chain_starts(candidate, links))
+        if self._in.frontier.newest is None and since == 0:
+            first = candidate.clusters[0]
+            made.append(self._first_prior(first))
+        return made
+
+    def _of_cluster(self, cluster: Cluster, partition: Partition) -> Sequence[Factor]:
+        """Odometry and fixes of a cluster's members."""
+        made: list[Factor] = []
+        for core in cluster.members:
+            item = self._in.prepared[core]
+            if isinstance(item, PreparedFix):
+                made.extend(self._gnss(item, cluster))
+            elif item.previous is not None and (core.sensor, item.previous) in partition.homes:
+                start = partition.homes[core.sensor, item.previous]
+                made.extend(self._odometry(item, start, partition.numbered.get(start), cluster))
+        return made
+
+    def predicted(self, stamp: int) -> gtsam.Pose3:
+        """Predicted T_map_base at the stamp of a core measurement."""
+        return self._in.states[stamp].pose
+
+    def has_odometry(self, core: CoreMeasurement) -> bool:
+        """Whether a scan is linked to an earlier one."""
+        item = self._in.prepared[core]
+        return isinstance(item, PreparedScan) and item.previous is not None
+
+    def continued_scans(self) -> set[tuple[str, int]]:
+        """Sensor and stamp of the scans that a scan of this window is linked to."""
+        return {
+            (core.sensor, item.previous)
+            for core, item in self._in.prepared.items()
+            if isinstance(item, PreparedScan) and item.previous is not None
+        }
+
+    def weak_prior(self, cluster: Cluster) -> Factor:
+        """Holds a component that nothing else connects, at its predicted pose."""
+        graph = self._in.config.graph
+        sigmas = pose_sigmas(graph.weak_sigma_position, graph.weak_sigma_rotation)
+        pose = self._in.states[cluster.stamp].pose
+        return pose_prior(pose_key(self.local_id(cluster)), pose, sigmas, cluster.stamp)
+
+    def bridge(self, cluster: Cluster, first: Cluster, newest: gtsam.Pose3 | None) -> Factor:
+        """Loosely ties a component to G(t-1) by the predicted motion.
+
+        ``newest`` is the pose of its newest cluster; without a G(t-1) the window's ``first``
+        cluster takes its place.
+        """
+        graph, frontier = self._in.config.graph, self._in.frontier
+        if frontier.newest is None or newest is None:
+            anchor, stamp = self.local_id(first), first.stamp
+            pose = self._in.states[stamp].pose
+        else:
+            anchor, stamp, pose = frontier.newest, frontier.newest_stamp, newest
+        return between_factor(
+            FactorKind.BRIDGE,
+            (pose_key(anchor), pose_key(self.local_id(cluster))),
+            pose.between(self._in.states[cluster.stamp].pose),
+            pose_sigmas(graph.weak_sigma_position, graph.weak_sigma_rotation),
+            None,
+            (stamp, cluster.stamp),
+        )
+
+    def initial(self, candidate: Candidate) -> gtsam.Values:
+        """Initial values of the candidate's new variables."""
+        values = gtsam.Values()
+        self.add_initial(candidate, values)
+        return values
+
+    def add_initial(
+        self,
+        candidate: Candidate,
+        values: gtsam.Values,
+        states: Mapping[int, State] | None = None,
+    ) -> None:
+        """Insert those of the candidate's new variables that ``values`` lacks.
+
+        They start from the ``states`` at the clusters' stamps, by default the predicted ones.
+        """
+        states = self._in.states if states is None else states
+        inertial = candidate.inertial_clusters
+        for index, cluster in enumerate(candidate.clusters):
+            own, state = self.local_id(cluster), states[cluster.stamp]
+            if not values.exists(pose_key(own)):
+                values.insert(pose_key(own), state.pose)
+            if index in inertial:
+                self._add_inertial(own, state, values)
+        # A candidate may give velocity and bias to a cluster of G(t-1).
+        if HEAD in inertial and not self._in.frontier.head_inertial:
+            head = self._in.frontier.head
+            assert head is not None
+            self._add_inertial(head, self._in.head_state, values)
+
+    def _add_inertial(self, cluster: int, state: State, values: gtsam.Values) -> None:
+        if not values.exists(velocity_key(cluster)):
+            values.insert(velocity_key(cluster), state.velocity)
+            insert_bias(values, bias_key(cluster), state.bias)
+
+    def learned(self, candidate: Candidate, values: gtsam.Values) -> dict[int, State]:
+        """States at the window's stamps, put right by the ``values`` of a solved candidate.
+
+        Where it has no cluster, a state differs from the predicted one as the nearest does.
+        """
+        found: dict[int, State] = {}
+        solved = {cluster.stamp: self.local_id(cluster) for cluster in candidate.clusters}
+        inertial = {
+            candidate.clusters[index].stamp
+            for index in candidate.inertial_clusters
+            if index != HEAD
+        }
+        for stamp, predicted in self._in.states.items():
+            near = min(solved, key=lambda other: abs(other - stamp))
+            before = self._in.states[near]
+            pose = values.atPose3(pose_key(solved[near]))
+            velocity, bias = predicted.velocity, predicted.bias
+            if near != stamp:
+                pose = pose.compose(before.pose.between(predicted.pose))
+            if inertial:
+                near = min(inertial, key=lambda other: abs(other - stamp))
+                own = solved[near]
+                change = predicted.velocity - self._in.states[near].velocity
+                velocity = values.atVector(velocity_key(own)) + change
+                bias = values.atConstantBias(bias_key(own))
+            found[stamp] = State(stamp, proper(pose), velocity, bias)
+        return found
+
+    def _odometry(
+        self, item: PreparedScan, start: int, start_cluster: Cluster | None, end: Cluster
+    ) -> tuple[Factor, ...]:
+        own = self.local_id(end)
+        key = ('odometry', item.core, start, own)
+        if key not in self._cache:
+            assert item.previous is not None and item.T_previous_current is not None
+            before = (
+                self._in.scan_offsets.get((item.core.sensor, item.previous), gtsam.Pose3())
+                if start_cluster is None
+                else self.offset(start_cluster, item.previous)
+            )
+            after = self.offset(end, item.core.stamp)
+            motion = before.compose(item.T_previous_current).compose(after.inverse())
+            self._cache[key] = (
+                between_factor(
+                    FactorKind.ODOMETRY,
+                    (pose_key(start), pose_key(own)),
+                    motion,
+                    self._sigmas,
+                    item.core.sensor,
+                    (item.previous, item.core.stamp),
+                ),
+            )
+        return self._cache[key]
+
+    def _gnss(self, item: PreparedFix, cluster: Cluster) -> tuple[Factor, ...]:
+        own = self.local_id(cluster)
+        key = ('gnss', item.core, own)
+        if key not in self._cache:
+            config = self._in.config
+            spread = self._in.fix_inflation.get(item.core.stamp, 0.0)
+            arm = config.gnss.matrix()[:3, 3]
+            arm = self.offset(cluster, item.core.stamp).transformFrom(arm)
+            turn = self._in.alignment.rotation()
+            inflated = item.covariance + np.diag([spread**2, spread**2, 0.0])
+            self._cache[key] = (
+                gnss_factor(
+                    pose_key(own),
+                    self._in.alignment.to_map(item.enu),
+                    turn @ inflated @ turn.T,
+                    arm,
+                    config.fixes.robust_threshold,
+                    item.core.sensor,
+                    item.core.stamp,
+                ),
+            )
+        return self._cache[key]
+
+    def _ends(self, candidate: Candidate, index: int) -> tuple[int, int]:
+        """Cluster number and stamp of one end of a connection."""
+        if index == HEAD:
+            assert self._in.frontier.head is not None
+            return self._in.frontier.head, self._in.frontier.head_stamp
+        cluster = candidate.clusters[index]
+        return self.local_id(cluster), cluster.stamp
+
+    def _imu(self, candidate: Candidate, start: int, end: int) -> tuple[Factor, ...]:
+        first, first_stamp = self._ends(candidate, start)
+        last, last_stamp = self._ends(candidate, end)
+        key = ('imu', first, last)
+        if key not in self._cache:
+            series = self._in.series
+            low, high = np.searchsorted(series.stamps, (first_stamp, last_stamp), side='left')
+            span = preintegrate(
+                series, first_stamp, last_stamp, self._in.parameters, self._in.head_state.bias
+            )
+            stamps = series.stamps[low:high]
+            self._cache[key] = (
+                imu_factor(first, last, span, 'imu', (first_stamp, last_stamp), stamps),
+            )
+        return self._cache[key]
+
+    def _chain_starts(self, candidate: Candidate, links: Sequence[Connection]) -> Sequence[Factor]:
+        """What holds velocity and bias where one of ``links`` does not go on from an older one."""
+        ends = {link.end for link in candidate.connections}
+        starts = sorted({link.start for link in links} - ends)
+        made: list[Factor] = []
+        for start in starts:
+            if start == HEAD and self._in.frontier.head_inertial:
+                continue
+            own = self._ends(candidate, start)
+            before = max((end for end in ends if end < start), default=HEAD)
+            earlier = self._last_inertial() if before == HEAD else self._ends(candidate, before)
+            key = ('chain', own, earlier)
+            if key not in self._cache:
+                self._cache[key] = self._chain_start(own, earlier)
+            made.extend(self._cache[key])
+        return made
+
+    def _last_inertial(self) -> tuple[int, int] | None:
+        """The last cluster of G(t-1) with velocity and bias, and its stamp."""
+        frontier = self._in.frontier
+        return None if frontier.inertial is None else (frontier.inertial, frontier.inertial_stamp)
+
+    def _chain_start(
+        self, own: tuple[int, int], earlier: tuple[int, int] | None
+    ) -> tuple[Factor, ...]:
+        """Holds velocity and bias of a cluster by those of an earlier one, if there is one.
+
+        Both are given by number and stamp. Without this, a chain that starts anew because two
+        clusters have no sample between them would forget what is known of velocity and bias.
+        """
+        id_, stamp = own
+        graph, imu = self._in.config.graph, self._in.config.preintegration
+        before = None if earlier is None else earlier[1]
+        kinds = chain_start(before, stamp, round(imu.max_gap * NANOSECONDS))
+        made: list[Factor] = []
+        if FactorKind.PRIOR_VELOCITY in kinds:
+            sigma = graph.prior_sigma_velocity if earlier is None else graph.weak_sigma_velocity
+            state = self._in.states.get(stamp, self._in.head_state)
+            made.append(velocity_prior(velocity_key(id_), state.velocity, sigma, stamp))
+        if earlier is None:
+            return (*made, bias_prior(bias_key(id_), self._in.head_state.bias, graph, stamp))
+        passed = max(stamp - earlier[1], SHORTEST) / NANOSECONDS
+        stamps = (earlier[1], stamp)
+        if FactorKind.CONTINUITY_VELOCITY in kinds:
+            keys = (velocity_key(earlier[0]), velocity_key(id_))
+            begin = max(earlier[1], self._in.head_state.stamp)
+            change = self._reckon(stamp).velocity - self._reckon(begin).velocity
+            made.append(velocity_continuity(keys, change, UNSEEN_ACCELERATION * passed, stamps))
+        walks = [imu.accelerometer_bias_walk] * 3 + [imu.gyroscope_bias_walk] * 3
+        keys = (bias_key(earlier[0]), bias_key(id_))
+        made.append(bias_continuity(keys, np.sqrt(passed) * np.array(walks), stamps))
+        return tuple(made)
+
+    def _first_prior(self, cluster: Cluster) -> Factor:
+        """Prior that holds the map's first pose: level well, yaw loosely."""
+        graph = self._in.config.graph
+        sigmas = np.array(
+            [graph.prior_sigma_level] * 2
+            + [graph.prior_sigma_yaw]
+            + [graph.prior_sigma_position] * 3
+        )
+        pose = self._in.states[cluster.stamp].pose
+        return pose_prior(pose_key(self.local_id(cluster)), pose, sigmas, cluster.stamp)

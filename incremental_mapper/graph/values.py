@@ -1,0 +1,70 @@
+"""The variables of the graph: their keys, and values that are put in and copied.
+
+Keys follow GTSAM's habit: ``x`` pose T_map_base, ``v`` velocity of base_link in the map (m/s),
+``b`` accelerometer and gyroscope bias, each with the number of its cluster.
+"""
+
+from functools import lru_cache
+
+import gtsam
+
+
+def pose_key(cluster: int) -> int:
+    """Key of a cluster's pose."""
+    return int(gtsam.symbol('x', cluster))
+
+
+def velocity_key(cluster: int) -> int:
+    """Key of a cluster's velocity."""
+    return int(gtsam.symbol('v', cluster))
+
+
+def bias_key(cluster: int) -> int:
+    """Key of a cluster's IMU bias."""
+    return int(gtsam.symbol('b', cluster))
+
+
+def cluster_of(key: int) -> int:
+    """Number of the cluster that a variable belongs to."""
+    return key & ((1 << 56) - 1)  # as gtsam.Symbol(key).index(), without making one
+
+
+def kind_of(key: int) -> str:
+    """Letter of a variable: ``x``, ``v`` or ``b``."""
+    return chr(key >> 56)  # as gtsam.Symbol(key).chr(), without making one
+
+
+def key_name(key: int) -> str:
+    """Readable name of a key, for example ``x12``."""
+    return f'{kind_of(key)}{cluster_of(key)}'
+
+
+@lru_cache(maxsize=1024)
+def _no_bias(key: int) -> gtsam.Values:
+    values = gtsam.Values()
+    values.insert(key, gtsam.imuBias.ConstantBias())
+    return values
+
+
+def insert_bias(values: gtsam.Values, key: int, bias: gtsam.imuBias.ConstantBias) -> None:
+    """As ``values.insert(key, bias)``, whose 44 overloads take ten times as long to tell apart.
+
+    Only where keys come again: a new one is inserted that way once.
+    """
+    step = gtsam.VectorValues()
+    step.insert(key, bias.vector())
+    values.insert(_no_bias(key).retract(step))
+
+
+def copy_value(
+    source: gtsam.Values, key: int, target: gtsam.Values, name: int | None = None
+) -> None:
+    """Copy one variable between two ``Values``, under another key if ``name`` is given."""
+    kind = kind_of(key)
+    new = key if name is None else name
+    if kind == 'x':
+        target.insert(new, source.atPose3(key))
+    elif kind == 'v':
+        target.insert(new, source.atVector(key))
+    else:
+        target.insert(new, source.atConstantBias(key))

@@ -1,0 +1,142 @@
+"""From a local map to ENU: the yaw comes from the GNSS track once the car has moved.
+
+Until then ENU is laid into the map without a turn, and a fix is trusted the less the further the
+car has moved since the first one: a wrong yaw puts it at most twice that far away.
+"""
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from incremental_mapper.config import Config
+from incremental_mapper.frontend.gnss import IDENTITY_ALIGNMENT, align_track
+from incremental_mapper.geometry import pose_matrix
+from incremental_mapper.graph.factors import (
+    Factor,
+    FactorKind,
+    gnss_factor,
+    pose_prior,
+    velocity_continuity,
+    velocity_prior,
+)
+from incremental_mapper.graph.values import copy_value, kind_of
+from incremental_mapper.measurements import NANOSECONDS
+from incremental_mapper.smoothing.batch import make_graph, optimize
+from incremental_mapper.smoothing.graph_state import GraphState
+from incremental_mapper.smoothing.smoother import belief_of
+
+MOST_FIXES = 40
+"""Newest fixes that are looked at for a track; a car may stand for long before it moves."""
+DISAGREEMENT = 5.0
+"""How many times longer a way may be by the fixes than by odometry, or the other way round: the
+worst matcher under-reads by so much."""
+SLACK = 1.0
+"""Metres by which the two may differ in any case."""
+
+
+def agreeing_track(
+    enu: NDArray[np.float64],
+    local: NDArray[np.float64],
+    sigmas: NDArray[np.float64],
+    min_distance: float,
+) -> NDArray[np.intp] | None:
+    """Which fixes tell the yaw, by their positions; None as long as none do.
+
+    ``enu`` and ``local`` (K, 3) are where the fixes and where odometry put the antenna, metres;
+    ``sigmas`` (K,) are the fixes' standard deviations. Two fixes agree where both say about the
+    same of the way between them; the largest set that agrees with one of its own is the track.
+    It must stand out from its noise. A fix that is far off agrees with no other.
+    """
+    there = np.linalg.norm((enu[:, None] - enu)[..., :2], axis=-1)
+    here = np.linalg.norm((local[:, None] - local)[..., :2], axis=-1)
+    noise = np.hypot(sigmas[:, None], sigmas)
+    slack = 5.0 * noise + SLACK
+    agree = (there <= DISAGREEMENT * here + slack) & (here <= DISAGREEMENT * there + slack)
+    anchor = int(agree.sum(axis=1).argmax())
+    far = agree[anchor] & (there[anchor] > np.maximum(min_distance, 5.0 * noise[anchor]))
+    return np.flatnonzero(agree[anchor]) if far.any() else None
+
+
+def georeference(state: GraphState, config: Config) -> bool:
+    """Turn all of G(t) into ENU by its GNSS track, and solve it again with full-weight fixes.
+
+    Returns whether it was done. Costs one solve of all of G(t), once in a drive.
+    """
+    if state.georeferenced or len(state.fixes) < 2:
+        return False
+    latest = state.fixes[-MOST_FIXES:]
+    enu = np.array([fix.enu for fix in latest])
+    local = np.array([state.pose(fix.cluster).transformFrom(fix.lever_arm) for fix in latest])
+    sigmas = np.sqrt([fix.covariance[0, 0] for fix in latest])
+    track = agreeing_track(enu, local, sigmas, config.fixes.min_distance)
+    if track is None:
+        return False
+    yaw, shift = align_track(enu[track], local[track])
+    T_enu_map = gtsam.Pose3(gtsam.Rot3.Yaw(yaw), shift)
+    turned = _turn(state.all_values(), T_enu_map)
+    factors = [_turned_factor(factor, T_enu_map, config) for factor in state.factors]
+    for fix in state.fixes:
+        factors[fix.factor] = gnss_factor(
+            factors[fix.factor].keys[0],
+            fix.enu,
+            fix.covariance,
+            fix.lever_arm,
+            config.fixes.robust_threshold,
+            factors[fix.factor].sensor or 'gnss',
+            fix.stamp,
+        )
+    plain = tuple(factor.factor for factor in factors)
+    solution = optimize(make_graph(plain), turned, 100)
+    values = turned if solution is None else solution.values
+    clusters = {placed.id: placed.cluster.stamp for placed in state.clusters}
+    newest = max(clusters.values())
+    state.belief, state.values = belief_of(
+        plain,
+        values,
+        clusters,
+        state.frontier.keys(),
+        newest - round(config.graph.lag * NANOSECONDS),
+    )
+    state.factors = factors
+    state.last_velocity = T_enu_map.rotation().rotate(state.last_velocity)
+    state.alignment = IDENTITY_ALIGNMENT
+    state.georeferenced = True
+    return True
+
+
+def _turn(values: gtsam.Values, T_enu_map: gtsam.Pose3) -> gtsam.Values:
+    turned = gtsam.Values()
+    for key in values.keys():  # noqa: SIM118 (no mapping)
+        kind = kind_of(key)
+        if kind == 'x':
+            turned.insert(key, T_enu_map.compose(values.atPose3(key)))
+        elif kind == 'v':
+            turned.insert(key, T_enu_map.rotation().rotate(values.atVector(key)))
+        else:
+            copy_value(values, key, turned)
+    return turned
+
+
+def _turned_factor(factor: Factor, T_enu_map: gtsam.Pose3, config: Config) -> Factor:
+    """What says something of a pose or velocity in the map, under the new frame.
+
+    Position and yaw of the priors are only loosely held from here on: the fixes know better.
+    """
+    if factor.kind is FactorKind.PRIOR_POSE:
+        graph = config.graph
+        data = factor.data
+        sigmas = np.maximum(
+            np.array(data['sigmas']),
+            [0.0, 0.0, graph.prior_sigma_yaw] + [graph.weak_sigma_position] * 3,
+        )
+        pose = T_enu_map.compose(gtsam.Pose3(pose_matrix(data['T_map_base'])))
+        return pose_prior(factor.keys[0], pose, sigmas, factor.stamps[0])
+    if factor.kind is FactorKind.PRIOR_VELOCITY:
+        data = factor.data
+        velocity = T_enu_map.rotation().rotate(np.array(data['velocity']))
+        return velocity_prior(factor.keys[0], velocity, data['sigma'], factor.stamps[0])
+    if factor.kind is FactorKind.CONTINUITY_VELOCITY:
+        data, (first, second), (start, end) = factor.data, factor.keys, factor.stamps
+        change = T_enu_map.rotation().rotate(np.array(data['change']))
+        return velocity_continuity((first, second), change, data['sigma'], (start, end))
+    return factor

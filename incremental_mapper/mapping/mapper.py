@@ -1,0 +1,367 @@
+"""Measurements in, G(t), poses, map and statistics out: the only place that keeps state."""
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import astuple, dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from incremental_mapper.blas import small_algebra
+from incremental_mapper.candidates.enumeration import base_candidate
+from incremental_mapper.candidates.partitions import elements
+from incremental_mapper.candidates.spans import ImuStamps
+from incremental_mapper.candidates.time_shift_search import by_time_shift
+from incremental_mapper.config import Config
+from incremental_mapper.frontend.front_end import FrontEnd, Preparation, Prepared
+from incremental_mapper.frontend.imu_preintegration import EMPTY_SERIES, preintegration_parameters
+from incremental_mapper.graph.factor_builder import WindowFactors, WindowInputs
+from incremental_mapper.graph.factors import Factor
+from incremental_mapper.graph.values import pose_key
+from incremental_mapper.map.store import make_store
+from incremental_mapper.mapping.base_count import BaseCount
+from incremental_mapper.mapping.commit import NOTHING, Appended, append_candidate
+from incremental_mapper.mapping.georeferencing import georeference
+from incremental_mapper.mapping.kernels import load_kernels
+from incremental_mapper.mapping.load_shedding import FULL, Effort
+from incremental_mapper.mapping.result import MapResult, NewestState, WindowResult
+from incremental_mapper.mapping.statistics import Totals, run_stats, window_row
+from incremental_mapper.mapping.window_buffer import Window, WindowBuffer, joined
+from incremental_mapper.measurements import NANOSECONDS, ImuSample, Measurement
+from incremental_mapper.scoring.strategies import strategy_plan
+from incremental_mapper.selection.local_map import SceneBuilder
+from incremental_mapper.selection.selector import Choice, choose
+from incremental_mapper.selection.window_inputs import window_inputs
+from incremental_mapper.selection.window_problem import Task
+from incremental_mapper.smoothing.batch import make_graph, optimize
+from incremental_mapper.smoothing.graph_state import GraphState
+from incremental_mapper.smoothing.marginal_prior import trimmed
+from incremental_mapper.trajectory import from_matrices
+
+
+@dataclass(frozen=True, slots=True)
+class _Frame:
+    """A window's bounds (ns), its number of IMU samples, and the seconds of its stages so far."""
+
+    start: int
+    end: int
+    imu: int
+    seconds: dict[str, float]
+
+
+class Mapper:
+    """The method of the paper, one window after the other.
+
+    Push measurements in any order that ``window.lateness`` allows; every call returns the
+    windows that it completed. ``finish`` closes the rest and returns the whole map.
+    ``sensors`` are the names to wait for from the start.
+    """
+
+    def __init__(self, config: Config, sensors: Sequence[str] = ()) -> None:
+        self.config = config
+        self._plan = strategy_plan(config.selection.strategy)
+        self._buffer = WindowBuffer(config.window, sensors)
+        # Closed, and waiting for their scans or to be merged with the next.
+        self._held: list[tuple[Window, Preparation]] = []
+        self._effort = FULL
+        self._front_end = FrontEnd(config)
+        load_kernels(self._plan.scene)  # while the front end's processes start
+        self._parameters = preintegration_parameters(config.preintegration, config.imu.matrix())
+        self._imu_gap = round(config.preintegration.max_gap * NANOSECONDS)
+        self._series = EMPTY_SERIES
+        self._orientation: NDArray[np.float64] | None = None
+        self._carried: list[Prepared] = []
+        self._state = GraphState(store=make_store(config.map))
+        self._base = BaseCount(self._imu_gap)
+        self._totals = Totals()
+        self._rows: list[dict[str, Any]] = []
+
+    @property
+    def state(self) -> GraphState:
+        """G(t)."""
+        return self._state
+
+    def push(self, measurement: Measurement) -> list[WindowResult]:
+        """Take in a measurement and run the windows that it closed."""
+        return list(self.advance(measurement))
+
+    def advance(self, measurement: Measurement, effort: Effort = FULL) -> Iterator[WindowResult]:
+        """As ``push``, one window at a time: ``newest`` then tells of each.
+
+        ``effort`` limits what is spent on the windows.
+        """
+        self._totals.received[measurement.sensor] += 1
+        self._buffer.push(measurement)
+        self._effort = effort
+        self._hold(self._buffer.pop_ready())
+        while self._may_run(effort.windows):
+            yield self._run(self._next_window(effort.windows))
+
+    def flush(self) -> list[WindowResult]:
+        """Close and run every open window without waiting for anything late."""
+        return list(self.drain())
+
+    def drain(self, effort: Effort = FULL) -> Iterator[WindowResult]:
+        """As ``flush``, one window at a time."""
+        self._effort = effort
+        self._hold(self._buffer.flush())
+        while self._held:
+            yield self._run(self._next_window(effort.windows))
+        if self._carried:
+            last = self._carried[-1].core.stamp
+            yield self._window([], _Frame(last, last + 1, 0, {}), force=True)
+
+    def finish(self) -> MapResult:
+        """Run what is left and return the whole map."""
+        self.flush()
+        return self.result()
+
+    @small_algebra()
+    def result(self) -> MapResult:
+        """The map of all windows so far; the mapper can go on afterwards.
+
+        G(t) is optimised once more for it if ``graph.final_optimization`` says so.
+        """
+        values = self._state.all_values()
+        if self.config.graph.final_optimization and self._state.clusters:
+            everything = make_graph(factor.factor for factor in self._state.factors)
+            solution = optimize(everything, values, 100)
+            if solution is None:
+                self._totals.solver_failures += 1
+            else:
+                values = solution.values
+        clusters = tuple(self._state.clusters)
+        poses = [values.atPose3(pose_key(placed.id)).matrix() for placed in clusters]
+        stamps = np.array([placed.cluster.stamp for placed in clusters], dtype=np.int64)
+        return MapResult(
+            clusters=clusters,
+            factors=tuple(self._state.factors),
+            values=values,
+            trajectory=from_matrices(stamps, np.array(poses).reshape(-1, 4, 4)),
+            scans=tuple(self._state.scans),
+            fixes=self._fixes(),
+            rows=tuple(self._rows),
+            stats=self.stats(),
+        )
+
+    def newest(self) -> NewestState | None:
+        """Newest pose with covariance and twist, None before the first window; constant cost."""
+        cluster = self._state.frontier.newest
+        if cluster is None:
+            return None
+        inertial = self._state.has_inertial(cluster)
+        return NewestState(
+            stamp=self._state.frontier.newest_stamp,
+            pose=self._state.pose(cluster),
+            covariance=self._state.belief.covariance(pose_key(cluster)),
+            velocity=self._state.velocity(cluster) if inertial else self._state.last_velocity,
+        )
+
+    def stats(self) -> dict[str, Any]:
+        """The keys of stats.json so far."""
+        datum = self._front_end.datum
+        stats = run_stats(
+            self.config,
+            self._state,
+            self._base,
+            self._totals,
+            drops=self._buffer.drops + self._front_end.drops,
+            notes=self._front_end.notes,
+            late=self._buffer.late,
+            unused=[item.core for item in self._carried],
+        )
+        stats['datum'] = None if datum is None else list(astuple(datum))
+        return stats
+
+    def _fixes(self) -> NDArray[np.float64]:
+        alignment = self._state.alignment
+        if alignment is None:
+            return np.zeros((0, 3))
+        return alignment.to_map(np.array([fix.enu for fix in self._state.fixes]).reshape(-1, 3))
+
+    def close(self) -> None:
+        """Let go of processes and threads; nothing may be pushed afterwards."""
+        self._front_end.close()
+
+    def _hold(self, windows: Sequence[Window]) -> None:
+        """Begin to prepare the scans of closed windows."""
+        self._held += [(window, self._front_end.start(window.core)) for window in windows]
+
+    def _may_run(self, count: int) -> bool:
+        """Whether the oldest ``count`` windows are ready, or have others waiting behind them."""
+        if len(self._held) < count:
+            return False
+        ready = all(preparation.done for _, preparation in self._held[:count])
+        return ready or len(self._held) > count + self._effort.ahead
+
+    def _next_window(self, count: int) -> tuple[Window, list[Preparation]]:
+        """The oldest ``count`` windows that wait, as one."""
+        taken, self._held = self._held[:count], self._held[count:]
+        self._totals.merged_windows += len(taken) - 1
+        return joined([window for window, _ in taken]), [begun for _, begun in taken]
+
+    def _run(self, waiting: tuple[Window, Sequence[Preparation]]) -> WindowResult:
+        window, begun = waiting
+        started = time.perf_counter()
+        for sample in window.imu:
+            self._keep_orientation(sample)
+        self._series = self._series.joined(window.imu)
+        prepared = [item for part in begun for item in self._front_end.collect(part)]
+        spent = time.perf_counter() - started + sum(part.seconds for part in begun)
+        seconds = {'front_end': spent}
+        frame = _Frame(window.start, window.end, len(window.imu), seconds)
+        return self._window(prepared, frame)
+
+    def _keep_orientation(self, sample: ImuSample) -> None:
+        if self._orientation is None and sample.orientation is not None:
+            self._orientation = sample.orientation
+
+    @small_algebra()
+    def _window(
+        self,
+        prepared: Sequence[Prepared],
+        frame: '_Frame',
+        force: bool = False,
+    ) -> WindowResult:
+        """Choose and append; measurements that no candidate connects are carried on."""
+        items = sorted([*self._carried, *prepared], key=lambda item: item.core)
+        if not items:
+            return self._close(frame, items, None)
+        self._count_base(prepared)
+        started = time.perf_counter()
+        inputs = window_inputs(
+            items,
+            self._state,
+            self._series,
+            self._orientation,
+            self._parameters,
+            self.config,
+        )
+        parts = elements(item.core for item in items)
+        factors = WindowFactors(inputs, len(parts))
+        scenes = SceneBuilder(items, inputs, factors, self._state, self.config.mom.submap_scans)
+        frontier = self._state.frontier
+        task = Task(
+            parts=parts,
+            head=None if frontier.head is None else frontier.head_stamp,
+            head_cluster=frontier.head,
+            inertial_cluster=frontier.inertial,
+            imu=ImuStamps(self._series.stamps, self._imu_gap),
+            factors=factors,
+            scenes=scenes,
+            belief=trimmed(
+                self._state.belief, self._state.recent_poses(self.config.mom.submap_scans)
+            ),
+            # How far a merged measurement must be moved is unknown before the velocity is.
+            may_merge=self._state.velocity_known or not self.config.graph.motion_compensation,
+            max_iterations=self.config.graph.max_iterations,
+        )
+        frame.seconds['candidates'] = time.perf_counter() - started
+        choice = choose(
+            task, self._plan, self.config.selection, self.config.mom, self._effort.candidates
+        )
+        extra = [factors.weak_prior(part[0]) for part in choice.loose]
+        if choice.winner is None:
+            waited = (items[-1].core.stamp - items[0].core.stamp) / NANOSECONDS
+            if not force and waited < self.config.window.max_carry:
+                self._carried = items
+                return self._close(frame, items, choice)
+            choice, extra = self._bridged(choice, task, inputs)
+        self._carried = []
+        started = time.perf_counter()
+        appended = self._append(choice, extra, factors, inputs)
+        frame.seconds['append'] = time.perf_counter() - started
+        return self._close(frame, items, choice, appended)
+
+    def _bridged(
+        self, choice: Choice, task: Task, inputs: WindowInputs
+    ) -> tuple[Choice, list[Factor]]:
+        """The least shifted candidate, with loose ties in place of what is missing.
+
+        Taken only when measurements have waited for ``window.max_carry`` and nothing came that
+        connects them.
+        """
+        least = next(by_time_shift(task.parts, task.head, task.imu))
+        base = base_candidate(task.parts, task.head, task.imu)
+        best = min((least, base), key=lambda item: len(task.factors.components(item)))
+        newest = self._state.frontier.newest
+        loose = task.factors.components(best)
+        self._totals.bridges += len(loose)
+        pose = None if newest is None else self._state.pose(newest)
+        extra = [task.factors.bridge(part[0], best.clusters[0], pose) for part in loose]
+        return replace(choice, winner=best, solution=None, score_name='bridged'), extra
+
+    def _append(
+        self,
+        choice: Choice,
+        extra: Sequence[Factor],
+        factors: WindowFactors,
+        inputs: WindowInputs,
+    ) -> Appended:
+        assert choice.winner is not None
+        appended = append_candidate(
+            self._state,
+            self._totals.windows,
+            choice.winner,
+            choice.solution,
+            extra,
+            factors,
+            inputs,
+            consecutive=self._plan.only_base,
+        )
+        self._totals.solver_failures += int(not self._state.belief.healthy)
+        georeference(self._state, self.config)
+        frontier = self._state.frontier
+        # Samples after the last cluster stamp belong to the next window.
+        self._series = self._series.since(min(frontier.head_stamp, frontier.newest_stamp))
+        return appended
+
+    def _count_base(self, prepared: Sequence[Prepared]) -> None:
+        imu = ImuStamps(self._series.stamps, self._imu_gap)
+        known = {item.core: item for item in prepared}
+        for part in elements(known):
+            stamp = part[0].stamp
+            before = self._base.last
+            joined = before is not None and imu.first_sample(before, stamp) is not None
+            links = [known[core] for core in part]
+            odometry = sum(getattr(item, 'previous', None) is not None for item in links)
+            gnss = sum(item.core.kind == 'gnss' for item in links)
+            self._base.add_element(stamp, odometry, gnss, joined)
+
+    def _close(
+        self,
+        frame: '_Frame',
+        items: Sequence[Prepared],
+        choice: Choice | None,
+        appended: Appended = NOTHING,
+    ) -> WindowResult:
+        """Record a window's numbers."""
+        totals, seconds = self._totals, frame.seconds
+        placed, error = appended.placed, appended.error
+        for stage, spent in (choice.seconds if choice else {}).items():
+            seconds[stage] = seconds.get(stage, 0.0) + spent
+        if choice is not None:
+            totals.add_choice(choice)
+        totals.solver_error += error
+        totals.add_seconds(seconds)
+        core = [item.core for item in items]
+        if core:
+            first = totals.first_stamp
+            totals.first_stamp = core[0].stamp if first is None else min(first, core[0].stamp)
+            totals.last_stamp = max(totals.last_stamp, core[-1].stamp)
+        row = window_row(
+            totals.windows, (frame.start, frame.end), core, frame.imu, choice, error, seconds
+        )
+        self._rows.append(row)
+        totals.windows += 1
+        return WindowResult(
+            index=totals.windows - 1,
+            start=frame.start,
+            end=frame.end,
+            winner=None if choice is None or not placed else choice.winner,
+            clusters=placed,
+            poses=tuple(self._state.pose(item.id) for item in placed),
+            row=row,
+            tried=() if choice is None else choice.tried,
+        )

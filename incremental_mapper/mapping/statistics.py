@@ -1,0 +1,201 @@
+"""Numbers of a window and of a run, under the keys that the files use."""
+
+import resource
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from incremental_mapper.candidates.model import CoreMeasurement
+from incremental_mapper.config import Config, to_tree
+from incremental_mapper.graph.factors import FactorKind
+from incremental_mapper.mapping.base_count import BaseCount
+from incremental_mapper.measurements import NANOSECONDS, Drops
+from incremental_mapper.selection.selector import Choice, Verification
+from incremental_mapper.smoothing.graph_state import GraphState
+
+STAGES = ('front_end', 'candidates', 'solve', 'score', 'append')
+
+
+@dataclass(slots=True)
+class Totals:
+    """Running sums over the windows."""
+
+    received: Counter[str] = field(default_factory=Counter)
+    windows: int = 0
+    carried_windows: int = 0
+    cut_windows: int = 0
+    merged_windows: int = 0
+    bridges: int = 0
+    solver_failures: int = 0
+    time_shift: int = 0
+    solver_error: float = 0.0
+    enumerated: int = 0
+    connected: int = 0
+    solved: int = 0
+    scores: Counter[str] = field(default_factory=Counter)
+    seconds: Counter[str] = field(default_factory=Counter)
+    verifications: list[Verification] = field(default_factory=list)
+    first_stamp: int | None = None
+    last_stamp: int = 0
+
+    def add_choice(self, choice: Choice) -> None:
+        """Count one window's choice."""
+        self.enumerated += choice.enumerated
+        self.connected += choice.connected
+        self.solved += choice.solved
+        self.cut_windows += int(choice.cut)
+        if choice.winner is None:
+            self.carried_windows += 1
+        else:
+            self.time_shift += choice.winner.time_shift
+            self.scores[choice.score_name] += 1
+        if choice.verification is not None:
+            self.verifications.append(choice.verification)
+
+    def add_seconds(self, seconds: dict[str, float]) -> None:
+        """Count the seconds of one window's stages."""
+        self.seconds.update(seconds)
+
+
+def window_row(
+    index: int,
+    bounds: tuple[int, int],
+    core: Sequence[CoreMeasurement],
+    imu_samples: int,
+    choice: Choice | None,
+    solver_error: float,
+    seconds: dict[str, float],
+) -> dict[str, Any]:
+    """One row of windows.csv; times in nanoseconds where the name says so, else in seconds."""
+    winner = None if choice is None else choice.winner
+    sensors = Counter(item.sensor for item in core)
+    row: dict[str, Any] = {
+        'window': index,
+        'start_ns': bounds[0],
+        'end_ns': bounds[1],
+        'core': len(core),
+        'sensors': ' '.join(f'{name}:{count}' for name, count in sorted(sensors.items())),
+        'imu': imu_samples,
+        'candidates_enumerated': choice.enumerated if choice else 0,
+        'candidates_connected': choice.connected if choice else 0,
+        'candidates_solved': choice.solved if choice else 0,
+        'cut': int(choice.cut) if choice else 0,
+        'clusters': len(winner.clusters) if winner else 0,
+        'connections': len(winner.connections) if winner else 0,
+        'members': '|'.join(
+            '+'.join(core.sensor for core in cluster.members) for cluster in winner.clusters
+        )
+        if winner
+        else '',
+        'score_name': choice.score_name if choice and winner else '',
+        'score': choice.score if choice and winner else None,
+        'time_shift_s': winner.time_shift / NANOSECONDS if winner else 0.0,
+        'solver_error': solver_error,
+    }
+    row.update({f'{stage}_s': round(seconds.get(stage, 0.0), 6) for stage in STAGES})
+    row['window_s'] = round(sum(seconds.get(stage, 0.0) for stage in STAGES), 6)
+    return row
+
+
+def run_stats(
+    config: Config,
+    state: GraphState,
+    base: BaseCount,
+    totals: Totals,
+    drops: Drops,
+    notes: Counter[str],
+    late: int,
+    unused: Sequence[CoreMeasurement],
+) -> dict[str, Any]:
+    """The keys of stats.json that the mapper knows; the command adds its own."""
+    # A velocity never comes without a bias.
+    vertices = len(state.clusters) + 2 * len(state.inertial)
+    factor_kinds = state.factor_counts
+    factors = len(state.factors)
+    drive = 0.0
+    if totals.first_stamp is not None:
+        drive = (totals.last_stamp - totals.first_stamp) / NANOSECONDS
+    stats: dict[str, Any] = {
+        'strategy': config.selection.strategy,
+        'windows': totals.windows,
+        'clusters': len(state.clusters),
+        'vertices': vertices,
+        'factors': factors,
+        'vertices_by_kind': {
+            'pose': len(state.clusters),
+            'velocity': len(state.inertial),
+            'bias': len(state.inertial),
+        },
+        'factors_by_kind': dict(sorted(factor_kinds.items())),
+        'base_clusters': base.clusters,
+        'base_vertices': base.vertices,
+        'base_factors': base.total_factors,
+        'base_factors_by_kind': {str(kind): count for kind, count in base.factors.items()},
+        'compression_vertices_percent': _percent(vertices, base.vertices),
+        'compression_factors_percent': _percent(factors, base.total_factors),
+        'compression_clusters_percent': _percent(len(state.clusters), base.clusters),
+        'total_time_shift_s': totals.time_shift / NANOSECONDS,
+        'solver_error': totals.solver_error,
+        'candidates_enumerated': totals.enumerated,
+        'candidates_connected': totals.connected,
+        'candidates_solved': totals.solved,
+        'components': state.components.sets,
+        'carried_windows': totals.carried_windows,
+        'cut_windows': totals.cut_windows,
+        'merged_windows': totals.merged_windows,
+        'bridges': totals.bridges,
+        'solver_failures': totals.solver_failures,
+        'weak_priors': factor_kinds[str(FactorKind.PRIOR_POSE)] - 1 if state.factors else 0,
+        'georeferenced': state.georeferenced,
+        'selection.score': dict(totals.scores),
+        'received': dict(totals.received),
+        'late_but_used': late,
+        'unused_measurements': len(unused),
+        'dropped': _nested(drops),
+        'notes': dict(notes),
+        'drive_s': drive,
+        'seconds_by_stage': {stage: round(totals.seconds[stage], 4) for stage in STAGES},
+        'settings': to_tree(config),
+    }
+    if totals.verifications:
+        stats['verification'] = verification_summary(totals.verifications)
+    return stats
+
+
+def verification_summary(verifications: Sequence[Verification]) -> dict[str, Any]:
+    """How often fast and direct MOM agree, and what each costs."""
+    judged = [item for item in verifications if item.scored > 1]
+    agreeing = [item for item in judged if item.same_winner or item.regret <= 0.005]
+    scored = sum(item.scored for item in verifications)
+    fast = sum(item.fast_seconds for item in verifications)
+    direct = sum(item.direct_seconds for item in verifications)
+    setup = sum(item.setup_seconds for item in verifications)
+    return {
+        'windows_with_a_choice': len(judged),
+        'same_winner': sum(item.same_winner for item in judged),
+        'same_or_within_half_percent': len(agreeing),
+        'agreement_percent': 100.0 * len(agreeing) / max(len(judged), 1),
+        'worst_regret_percent': 100.0 * max((item.regret for item in judged), default=0.0),
+        'candidates_scored': scored,
+        'fast_ms_per_candidate': 1e3 * fast / max(scored, 1),
+        'direct_ms_per_candidate': 1e3 * direct / max(scored, 1),
+        'setup_and_fast_ms_per_candidate': 1e3 * setup / max(scored, 1),
+        'direct_over_fast': direct / fast if fast > 0 else None,
+    }
+
+
+def peak_rss_mb() -> float:
+    """Largest resident memory of this process so far, in megabytes."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+
+
+def _percent(count: int, base: int) -> float:
+    return 100.0 * (1.0 - count / base) if base else 0.0
+
+
+def _nested(drops: Drops) -> dict[str, dict[str, int]]:
+    nested: dict[str, dict[str, int]] = {}
+    for (sensor, reason), count in sorted(drops.items()):
+        nested.setdefault(sensor, {})[reason] = count
+    return nested

@@ -1,0 +1,193 @@
+"""Gathers measurements into windows by their header stamps (paper, section Methodology).
+
+A window is closed once every live sensor has passed its end, or once the newest stamp is
+``lateness`` beyond it. The time of arrival plays no part, so the windows do not depend on how
+the sensors' messages were interleaved, as long as each sensor's own come in order and none is
+later than that.
+"""
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from incremental_mapper.config import WindowSettings
+from incremental_mapper.measurements import (
+    NANOSECONDS,
+    CoreInput,
+    Drops,
+    ImuSample,
+    Measurement,
+)
+
+MAX_LEAP = 10 * NANOSECONDS
+"""A stamp that far ahead of all others is not believed at once."""
+LEAP_WITNESSES = 5
+"""So many measurements in a row beyond a leap prove that the clock did move."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Window:
+    """Measurements with start <= stamp < end (ns), each kind in time order.
+
+    Core measurements may be older than ``start`` where they came late but still fit.
+    """
+
+    start: int
+    end: int
+    core: tuple[CoreInput, ...]
+    imu: tuple[ImuSample, ...]
+
+
+def joined(windows: Sequence[Window]) -> Window:
+    """Consecutive windows, at least one, as one."""
+    return Window(
+        start=windows[0].start,
+        end=windows[-1].end,
+        core=tuple(item for window in windows for item in window.core),
+        imu=tuple(item for window in windows for item in window.imu),
+    )
+
+
+class WindowBuffer:
+    """Sorts incoming measurements and hands out closed windows in order.
+
+    ``sensors`` are those to wait for from the start; others are waited for once they are seen.
+    """
+
+    def __init__(self, settings: WindowSettings, sensors: Iterable[str] = ()) -> None:
+        self._awaited = set(sensors)
+        self._duration = round(settings.duration * NANOSECONDS)
+        self._lateness = round(settings.lateness * NANOSECONDS)
+        self._core: dict[tuple[int, str], CoreInput] = {}
+        self._imu: dict[tuple[int, str], ImuSample] = {}
+        self._newest: dict[str, int] = {}
+        self._leap: list[Measurement] = []
+        self._first: list[Measurement] | None = []  # None once the clock is known
+        self._start: int | None = None
+        self._closed_core = -1  # newest core stamp that was handed out
+        self._closed_imu = -1
+        self.drops: Drops = Counter()
+        self.late = 0  # core measurements that moved to a later window
+
+    def __len__(self) -> int:
+        return len(self._core) + len(self._imu)
+
+    def push(self, measurement: Measurement) -> None:
+        """Take in one measurement; what cannot be used is counted in ``drops``."""
+        if self._first is not None:
+            self._first.append(measurement)
+            if len(self._first) >= LEAP_WITNESSES:
+                self._set_clock()
+            return
+        newest = max(self._newest.values(), default=measurement.stamp)
+        if measurement.stamp - newest > MAX_LEAP:
+            self._leap.append(measurement)
+            if len(self._leap) < LEAP_WITNESSES:
+                return
+            witnesses, self._leap = self._leap, []
+            self._newest = dict.fromkeys(self._newest, min(witness.stamp for witness in witnesses))
+            for witness in witnesses:
+                self._insert(witness)
+            return
+        self._reject_leap()
+        self._insert(measurement)
+
+    def pop_ready(self) -> list[Window]:
+        """Windows that no measurement in time can change any more, oldest first."""
+        windows: list[Window] = []
+        while True:
+            window = self._next(self._watermark())
+            if window is None:
+                return windows
+            windows.append(window)
+
+    def flush(self) -> list[Window]:
+        """All that is left, as closed windows."""
+        self._set_clock()
+        self._reject_leap()
+        windows: list[Window] = []
+        while True:
+            window = self._next(None)
+            if window is None:
+                break
+            windows.append(window)
+        if self._imu:
+            stamps = [stamp for stamp, _ in self._imu]
+            start = min(stamps) if self._start is None else self._start
+            windows.append(self._take(start, max(max(stamps), start) + 1))
+        return windows
+
+    def _set_clock(self) -> None:
+        """Tell by the first measurements what time it is: one alone may be far ahead of it."""
+        first, self._first = self._first, None
+        if not first:
+            return
+        middle = sorted(item.stamp for item in first)[(len(first) - 1) // 2]
+        for item in first:
+            if item.stamp - middle > MAX_LEAP:
+                self.drops[item.sensor, 'stamp_leap'] += 1
+            else:
+                self._insert(item)
+
+    def _reject_leap(self) -> None:
+        for suspect in self._leap:
+            self.drops[suspect.sensor, 'stamp_leap'] += 1
+        self._leap = []
+
+    def _insert(self, measurement: Measurement) -> None:
+        stamp, sensor = measurement.stamp, measurement.sensor
+        key = (stamp, sensor)
+        if isinstance(measurement, ImuSample):
+            if key in self._imu:
+                self.drops[sensor, 'duplicate_stamp'] += 1
+            elif stamp <= self._closed_imu:
+                self.drops[sensor, 'late'] += 1
+            else:
+                self._imu[key] = measurement
+        elif key in self._core:
+            self.drops[sensor, 'duplicate_stamp'] += 1
+        elif stamp <= self._closed_core:
+            self.drops[sensor, 'late'] += 1
+        else:
+            if self._start is not None and stamp < self._start:
+                self.late += 1
+            self._core[key] = measurement
+        self._newest[sensor] = max(stamp, self._newest.get(sensor, stamp))
+
+    def _watermark(self) -> int:
+        """All windows that end at or before this stamp are closed."""
+        newest = max(self._newest.values(), default=0)
+        slowest = min(self._newest.values(), default=0)
+        patient = newest - self._lateness
+        return patient if self._awaited - self._newest.keys() else max(slowest, patient)
+
+    def _next(self, watermark: int | None) -> Window | None:
+        if not self._core:
+            return None
+        oldest = min(stamp for stamp, _ in self._core)
+        if self._start is None:
+            # The grid starts at the first core stamp, once nothing older can come.
+            if watermark is not None and watermark < oldest + self._duration:
+                return None
+            self._start = oldest
+        # Empty windows are passed over, but only once nothing can come to fill them.
+        start = self._start + max(oldest - self._start, 0) // self._duration * self._duration
+        end = start + self._duration
+        if watermark is not None and watermark < end:
+            return None
+        return self._take(start, end)
+
+    def _take(self, start: int, end: int) -> Window:
+        core = sorted(key for key in self._core if key[0] < end)
+        imu = sorted(key for key in self._imu if key[0] < end)
+        self._start = end
+        if core:
+            self._closed_core = core[-1][0]
+        if imu:
+            self._closed_imu = imu[-1][0]
+        return Window(
+            start=start,
+            end=end,
+            core=tuple(self._core.pop(key) for key in core),
+            imu=tuple(self._imu.pop(key) for key in imu),
+        )

@@ -1,0 +1,1 @@
+"""Results: an offline run, and the folder that a run is written to and read back from."""

@@ -1,0 +1,112 @@
+"""The table that ``map`` prints, and the pictures beside it."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from incremental_mapper.results.finished_run import GRAPH_SECONDS, interesting_stretch
+from incremental_mapper.results.offline_run import Run
+from incremental_mapper.results.run_files import graph_tree
+from incremental_mapper.trajectory import Trajectory
+
+
+def summary(stats: Mapping[str, Any]) -> str:
+    """The main numbers of a run, one a line, aligned."""
+    by_kind = stats['factors_by_kind']
+    rows = [
+        ('strategy', stats['strategy']),
+        ('clusters', _against(stats, 'clusters')),
+        ('vertices', _against(stats, 'vertices')),
+        ('factors', _against(stats, 'factors')),
+        ('', ', '.join(f'{count} {kind}' for kind, count in by_kind.items())),
+        ('components', _components(stats)),
+        ('total time shift', f'{stats["total_time_shift_s"]:.4f} s'),
+        ('solver error', f'{stats["solver_error"]:.4f}'),
+    ]
+    if 'rpe_translation_rmse_m' in stats:
+        rows += [
+            (
+                'RPE',
+                f'{stats["rpe_translation_rmse_m"]:.4f} m, '
+                f'{stats["rpe_rotation_rmse_deg"]:.3f} deg between consecutive poses',
+            ),
+            ('RPE per second', f'{stats["rpe_per_second_translation_rmse_m"]:.4f} m'),
+            ('ATE', f'{stats["ate_rmse_m"]:.4f} m'),
+        ]
+    rows += [
+        (
+            'candidates',
+            f'{stats["candidates_enumerated"]} enumerated, '
+            f'{stats["candidates_connected"]} connected, {stats["candidates_solved"]} solved '
+            f'in {stats["windows"]} windows',
+        ),
+        (
+            'score',
+            _counts(stats['selection.score']),
+        ),
+        (
+            'time',
+            f'{stats["wall_s"]:.1f} s for {stats["drive_s"]:.1f} s of driving, '
+            f'real-time factor {stats["real_time_factor"]:.1f}',
+        ),
+        (
+            'a window',
+            f'{1e3 * stats["window_median_s"]:.0f} ms median, first tenth '
+            f'{1e3 * stats["window_first_tenth_s"]:.0f} ms, last tenth '
+            f'{1e3 * stats["window_last_tenth_s"]:.0f} ms',
+        ),
+        ('peak memory', f'{stats["peak_rss_mb"]:.0f} MB'),
+        ('map', f'{stats["map_points"]} points'),
+    ]
+    if 'verification' in stats:
+        check = stats['verification']
+        rows.append(
+            (
+                'fast against direct',
+                f'{check["agreement_percent"]:.1f} % of {check["windows_with_a_choice"]} windows '
+                f'agree, direct takes {check["direct_over_fast"]:.0f} times as long',
+            )
+        )
+    dropped = [
+        f'{count} of {sensor} ({reason})'
+        for sensor, reasons in stats['dropped'].items()
+        for reason, count in reasons.items()
+    ]
+    if dropped:
+        rows.append(('not used', ', '.join(dropped)))
+    rows += [('note', f'{text}: {count}x') for text, count in stats['notes'].items()]
+    if stats['interrupted']:
+        rows.append(('interrupted', 'the rest of the input was not read'))
+    width = max(len(name) for name, _ in rows)
+    return '\n'.join(f'{name:<{width}}  {text}' for name, text in rows)
+
+
+def draw_pictures(folder: Path, run: Run, truth: Trajectory | None) -> str | None:
+    """Write the pictures of a run; returns a remark where they cannot be drawn."""
+    try:
+        from incremental_mapper.visualization.graph_picture import draw_graph
+        from incremental_mapper.visualization.pictures import draw_map, draw_trajectory
+    except ModuleNotFoundError as error:
+        return f'no pictures, {error.name} is missing: pip install "incremental_mapper[report]"'
+    result = run.result
+    draw_trajectory(folder / 'trajectory.png', result.trajectory, truth, result.fixes)
+    draw_map(folder / 'map.png', run.points, result.trajectory)
+    graph = graph_tree(result.clusters, result.factors, result.values)
+    draw_graph(folder / 'graph.png', graph, *interesting_stretch(graph, GRAPH_SECONDS))
+    return None
+
+
+def _counts(counts: Mapping[str, int]) -> str:
+    return ', '.join(f'{name} {count}x' for name, count in counts.items())
+
+
+def _against(stats: Mapping[str, Any], name: str) -> str:
+    return (
+        f'{stats[name]} ({stats[f"compression_{name}_percent"]:.1f} % fewer than the '
+        f'{stats[f"base_{name}"]} of base)'
+    )
+
+
+def _components(stats: Mapping[str, Any]) -> str:
+    count = stats['components']
+    return '1, the graph is connected' if count == 1 else f'{count}, the graph is not connected'

@@ -1,0 +1,146 @@
+"""Publishers: every window at once, map, path and graph when they are due and someone listens."""
+
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseArray
+from nav_msgs.msg import Odometry, Path
+from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import PointCloud2
+from visualization_msgs.msg import MarkerArray
+
+from incremental_mapper.config import Config
+from incremental_mapper.ros.inbox import Inbox, View
+from incremental_mapper.ros.live_map import GraphView, PathView
+from incremental_mapper.ros.markers import graph_markers, no_markers
+from incremental_mapper.ros.parameters import NodeParameters
+from incremental_mapper.ros.result_messages import (
+    cloud_message,
+    odometry_message,
+    path_message,
+    pose_array,
+    stats_message,
+)
+from incremental_mapper.ros.transforms import make_transforms
+from incremental_mapper.ros.worker import ViewUpdate, WindowUpdate
+
+QUIET = PublisherEventCallbacks(use_default_callbacks=False)
+"""A reader that asks for more than is offered is told so on its side; every event that the
+executor waits for costs time with every message."""
+WINDOW_DEPTH = 100
+"""Messages of one window each that wait for a slow reader."""
+
+
+def reliable(depth: int, latched: bool = False) -> QoSProfile:
+    """Reliable delivery; a late joiner of a latched topic gets the last messages."""
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=depth,
+        reliability=ReliabilityPolicy.RELIABLE,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+@dataclass(slots=True)
+class _Shown:
+    """A view's publisher, and how far what it published is behind."""
+
+    publisher: Any
+    published: int = 0
+    asked: bool = False
+    last: float = -np.inf
+
+
+class Outputs:
+    """All publishers of results; used in the executor's thread only."""
+
+    def __init__(self, node: Node, parameters: NodeParameters, inbox: Inbox) -> None:
+        self._parameters = parameters
+        self._frames = parameters.config.frames
+        self._inbox = inbox
+        self._transforms = make_transforms(node, self._frames)
+        self._node_name = node.get_name()
+        self._windows = 0  # counts changes of the map
+
+        def publish(kind: type, topic: str, qos: QoSProfile) -> Any:
+            return node.create_publisher(kind, topic, qos, event_callbacks=QUIET)
+
+        window, every_window = reliable(WINDOW_DEPTH), reliable(WINDOW_DEPTH, latched=True)
+        self._odometry = publish(Odometry, '~/odometry', window)
+        self._poses = publish(PoseArray, '~/poses', window)
+        self._increment = publish(PointCloud2, '~/map_increment', window)
+        self._stats = publish(DiagnosticArray, '~/graph_stats', every_window)
+        latched = reliable(1, latched=True)
+        self._views = {
+            View.MAP: _Shown(publish(PointCloud2, '~/map', latched)),
+            View.PATH: _Shown(publish(Path, '~/path', latched)),
+            View.GRAPH: _Shown(publish(MarkerArray, '~/graph', latched)),
+        }
+
+    def window(self, update: WindowUpdate) -> None:
+        """Publish what belongs to one window."""
+        result, newest = update.result, update.newest
+        stamp = result.end if newest is None else newest.stamp
+        name = f'{self._node_name}: graph'
+        self._stats.publish(stats_message(stamp, result.row, update.stats, name))
+        if newest is None or update.T_odom_base is None:
+            return
+        self._windows += 1
+        frame = self._frames.map
+        self._odometry.publish(odometry_message(newest, frame, self._frames.base))
+        self._poses.publish(pose_array(stamp, result.poses, frame))
+        self._transforms.send(stamp, newest.pose, update.T_odom_base)
+        if self._increment.get_subscription_count() > 0:
+            self._increment.publish(cloud_message(stamp, update.points, frame))
+
+    def view(self, update: ViewUpdate) -> None:
+        """Publish a view that was asked for."""
+        shown = self._views[update.view]
+        shown.asked = False
+        frame, content = self._frames.map, update.content
+        if isinstance(content, PathView):
+            message = path_message(update.stamp, content, frame)
+        elif isinstance(content, GraphView):
+            message = graph_markers(content, frame)
+        else:
+            message = cloud_message(update.stamp, content, frame)
+        shown.publisher.publish(message)
+
+    def clear(self) -> None:
+        """Take back what late joiners would get of a map that is no more."""
+        self._windows += 1
+        empty = np.zeros((0, 3), dtype=np.float32)
+        frame = self._frames.map
+        for view, message in (
+            (View.MAP, cloud_message(0, empty, frame)),
+            (View.PATH, path_message(0, PathView([], []), frame)),
+            (View.GRAPH, no_markers(frame)),
+        ):
+            self._views[view].publisher.publish(message)
+            self._views[view].published = self._windows
+
+    def tick(self) -> None:
+        """Ask for the views that have changed, are due, and that someone listens to.
+
+        Nothing is made for nobody: who joins later is served by the next tick.
+        """
+        now = time.monotonic()
+        for view, shown in self._views.items():
+            due = now - shown.last >= self._period(view)
+            stale = shown.published < self._windows and not shown.asked
+            if due and stale and shown.publisher.get_subscription_count() > 0:
+                shown.asked, shown.published, shown.last = True, self._windows, now
+                self._inbox.request(view)
+
+    def _period(self, view: View) -> float:
+        config: Config = self._parameters.config
+        return {
+            View.MAP: config.map.publish_period,
+            View.PATH: config.path.publish_period,
+            View.GRAPH: config.graph.markers_period,
+        }[view]

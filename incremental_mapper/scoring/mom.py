@@ -1,0 +1,314 @@
+"""The Mutually Orthogonal Metric of a window's candidates (paper, section Evaluation Metric).
+
+The judging points and their neighbourhoods are found once per window, at the poses of one
+candidate. Each scan's part of a neighbourhood is kept as its moments, which any other candidate
+only shifts and turns; neighbours that come or go are corrected one by one. ``direct_score``
+searches the neighbourhoods of each candidate again, by other means.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from incremental_mapper.compiled import kernel
+from incremental_mapper.config import MomSettings
+from incremental_mapper.scoring.eigen import full_matrices, smallest_eigen
+from incremental_mapper.scoring.moment_update import ROUNDING, largest_drifts, moved_covariances
+from incremental_mapper.scoring.moments import covariances, sum_products
+from incremental_mapper.scoring.neighbourhoods import (
+    Grid,
+    Rim,
+    find_rim,
+    make_grid,
+    moments_of_parts,
+    shared_neighbourhoods,
+)
+from incremental_mapper.scoring.plane_families import orthogonal_families, spread_positions
+
+PLANE_VARIANCE = 'plane_variance'
+BATCH = 32
+"""Candidates that are scored together; it bounds the memory that they take."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """What a window's candidates are judged on.
+
+    ``fixed`` are points (F, 3) of recent scans, already placed in the map. ``moving`` are the
+    scans (N_s, 3) in base_link whose poses differ between candidates; the first ``fresh`` of them
+    are the window's new scans. ``poses`` (C, S, 4, 4) are their T_map_base in the candidates that
+    will be judged; the first candidate is the reference. ``origin`` (3,) is a place near the car:
+    numbers relative to it keep the moments exact.
+    """
+
+    fixed: NDArray[np.float64]
+    moving: Sequence[NDArray[np.float64]]
+    poses: NDArray[np.float64]
+    fresh: int
+    origin: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judges:
+    """Judging points of one window.
+
+    ``points`` (P, 3) stand at the reference, relative to the origin; ``scan`` (P,), ascending, says
+    whose they are: 0 the fixed points, then the moving scans. ``parts`` (P, 1 + S, 10) are the
+    moments of each scan's part of a neighbourhood, at the reference and about the point. They hold
+    under any candidate that drifts by no more than ``reach`` (P, 1 + S) metres, but for the
+    ``rim``; ``grid`` gives the rim for any other reach. ``weights`` (P,) of the judges make the
+    mean over families of the mean in each; ``families`` are those that count, and ``family`` (P,)
+    is 0, 1 or 2.
+    """
+
+    points: NDArray[np.float64]
+    scan: NDArray[np.int64]
+    parts: NDArray[np.float64]
+    reach: NDArray[np.float64]
+    rim: Rim
+    grid: Grid
+    family: NDArray[np.int64]
+    families: tuple[int, ...]
+    weights: NDArray[np.float64]
+    score_name: str
+
+
+def choose_judges(scene: Scene, settings: MomSettings) -> Judges | None:
+    """Find planar neighbourhoods that a new scan shares with another one, and their families.
+
+    None where there is no such neighbourhood.
+    """
+    bounds = np.cumsum([0, len(scene.fixed), *map(len, scene.moving)])
+    first, last = bounds[1].item(), bounds[scene.fresh + 1].item()
+    # Half as many again as are wanted: not every seed turns out to be planar.
+    seeds = first + spread_positions(last - first, settings.max_points * 3 // 2)
+    if len(seeds) == 0:
+        return None
+    points = _placed(scene, bounds)
+    queries, scan = points.take(seeds, axis=0), np.searchsorted(bounds, seeds, side='right') - 1
+    grid = make_grid(points, bounds, settings.radius)
+    parts = moments_of_parts(grid, queries, settings.radius, len(bounds) - 1)
+    # Alone, a scan has the same planes at any pose.
+    chosen, spread = shared_neighbourhoods(parts, scan, settings.min_neighbours)
+    found = smallest_eigen(spread)
+    planar = np.flatnonzero(found.middle > settings.eigenvalue_ratio * found.values)
+    if len(planar) == 0:
+        return None
+    families = orthogonal_families(found.vectors.take(planar, axis=1), settings.max_angle)
+    labels, counted, name = _count_families(families.labels, settings)
+    kept = _thin_families(labels, counted, settings.max_points)
+    chosen, labels = chosen[planar[kept]], labels[kept]
+    queries, scan = queries.take(chosen, axis=0), scan[chosen]
+    # The reference itself does not drift.
+    motions = _motions(scene, scene.poses[1:])
+    reach, rim = _reach(motions, queries, scan, grid, settings)
+    return Judges(
+        points=queries,
+        scan=scan,
+        parts=parts.take(chosen, axis=0),
+        reach=reach,
+        rim=rim,
+        grid=grid,
+        family=labels,
+        families=counted,
+        weights=1.0 / (np.bincount(labels)[labels] * len(counted)),
+        score_name=name,
+    )
+
+
+def _reach(
+    motions: NDArray[np.float64],
+    queries: NDArray[np.float64],
+    scan: NDArray[np.int64],
+    grid: Grid,
+    settings: MomSettings,
+) -> tuple[NDArray[np.float64], Rim]:
+    """Reach and rim of queries (P, 3) of the scans (P,) for candidates (C, 1 + S, 4, 4)."""
+    # Candidates that drift further would make rims that cost more than to search again for them.
+    reach = largest_drifts(motions, queries, scan, settings.radius)
+    return reach, find_rim(grid, queries, settings.radius, reach + ROUNDING)
+
+
+def warm_up() -> None:
+    """Compile all that scoring needs, or load it from disk."""
+    side = 0.4 * np.arange(20.0)
+    x, y = (grid.ravel() for grid in np.meshgrid(side, side))
+    floor = np.stack([x, y, 0.01 * np.cos(9.0 * x)], axis=1)
+    poses = np.tile(np.eye(4), (2, 2, 1, 1))
+    poses[1, 0, 0, 3] = 0.1
+    scene = Scene(floor, [floor, floor], poses, 1, np.zeros(3))
+    judges = choose_judges(scene, MomSettings())
+    assert judges is not None  # the floor is flat
+    fast_scores(judges, poses, scene, MomSettings())
+
+
+def fast_scores(
+    judges: Judges,
+    poses: NDArray[np.float64],
+    scene: Scene,
+    settings: MomSettings,
+    exact: bool = True,
+) -> NDArray[np.float64]:
+    """MOM in m^2 (C,) of candidates with the moving scans at ``poses`` (C, S, 4, 4).
+
+    The values are those of ``direct_score``. Candidates that drift by more than the radius are
+    indeed searched again, unless ``exact`` is off: then those beyond the judges' reach keep what
+    neighbours they had there. A candidate with poses that are not finite has the score NaN.
+    """
+    scores = np.empty(len(poses))
+    for start in range(0, len(poses), BATCH):
+        some = poses[start : start + BATCH]
+        motions, finite = _motions(scene, some), np.isfinite(some).all(axis=(1, 2, 3))
+        values, near = _moved_scores(judges, motions, settings, exact)
+        far = np.flatnonzero(~near & finite & exact)
+        if len(far):
+            # The same judges with a longer reach are ready sooner than any search.
+            reach, rim = _reach(motions[far], judges.points, judges.scan, judges.grid, settings)
+            longer = replace(judges, reach=reach, rim=rim)
+            values[far], near = _moved_scores(longer, motions[far], settings)
+            for further in far[~near]:
+                values[further] = direct_score(judges, some[further], scene, settings)
+        scores[start : start + BATCH] = values
+    return scores
+
+
+def _moved_scores(
+    judges: Judges, motions: NDArray[np.float64], settings: MomSettings, exact: bool = True
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Scores (C,) of candidates (C, 1 + S, 4, 4), and which of them are within reach."""
+    spread, near = moved_covariances(
+        motions,
+        judges.points,
+        judges.scan,
+        judges.parts,
+        judges.rim,
+        judges.reach if exact else np.full_like(judges.reach, np.inf),
+        settings.radius,
+    )
+    variances = smallest_eigen(spread.reshape(6, -1)).values.reshape(len(motions), -1)
+    return variances @ judges.weights, near
+
+
+def fast_score(
+    judges: Judges, poses: NDArray[np.float64], scene: Scene, settings: MomSettings
+) -> float:
+    """MOM in m^2 of the moving scans at ``poses`` (S, 4, 4), from the judges' moments."""
+    return float(fast_scores(judges, poses[None], scene, settings)[0])
+
+
+def direct_score(
+    judges: Judges, poses: NDArray[np.float64], scene: Scene, settings: MomSettings
+) -> float:
+    """The same value with the neighbourhoods searched again at ``poses`` (S, 4, 4)."""
+    points = _place(scene, poses)
+    motions = _motions(scene, poses[None])[0][judges.scan]
+    queries = np.einsum('pij,pj->pi', motions[:, :3, :3], judges.points) + motions[:, :3, 3]
+    # An unbalanced tree is built in half the time and is asked only once.
+    tree = KDTree(points, leafsize=24, balanced_tree=False, compact_nodes=False)
+    found = tree.query_ball_point(queries, settings.radius, return_sorted=False)
+    rows = np.repeat(np.arange(len(found)), [len(near) for near in found])
+    columns = np.concatenate([np.asarray(near, dtype=np.int64) for near in found])
+    numbers = sum_products(rows, columns, points.T, len(found))
+    variances = np.linalg.eigvalsh(full_matrices(covariances(numbers)))[:, 0]
+    return float(np.maximum(variances, 0.0) @ judges.weights)
+
+
+def _place(scene: Scene, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    """All points (N, 3) relative to the origin: the fixed ones, then those of the moving scans."""
+    placed = [
+        cloud @ pose[:3, :3].T + (pose[:3, 3] - scene.origin)
+        for pose, cloud in zip(poses, scene.moving, strict=True)
+    ]
+    return np.vstack([scene.fixed - scene.origin, *placed])
+
+
+def _placed(scene: Scene, bounds: NDArray[np.int64]) -> NDArray[np.float64]:
+    """As ``_place`` at the reference; scan s has the points bounds[s] to bounds[s + 1]."""
+    points = np.empty((bounds[-1], 3))
+    np.concatenate([scene.fixed, *scene.moving], out=points)
+    _move(points, bounds, scene.poses[0].copy(), scene.origin.copy())
+    return points
+
+
+@kernel
+def _move(
+    points: NDArray[np.float64],
+    bounds: NDArray[np.int64],
+    poses: NDArray[np.float64],
+    origin: NDArray[np.float64],
+) -> None:
+    """Move the ``points`` (N, 3) of every scan by its pose (S, 4, 4), in place; see _placed."""
+    for i in range(bounds[1]):
+        for k in range(3):
+            points[i, k] -= origin[k]
+    for s in range(len(poses)):
+        m = poses[s]
+        r, t, a, b = m[0, 0], m[0, 1], m[0, 2], m[0, 3] - origin[0]
+        u, v, w, c = m[1, 0], m[1, 1], m[1, 2], m[1, 3] - origin[1]
+        e, f, g, d = m[2, 0], m[2, 1], m[2, 2], m[2, 3] - origin[2]
+        for i in range(bounds[s + 1], bounds[s + 2]):
+            x, y, z = points[i, 0], points[i, 1], points[i, 2]
+            points[i, 0] = r * x + t * y + a * z + b
+            points[i, 1] = u * x + v * y + w * z + c
+            points[i, 2] = e * x + f * y + g * z + d
+
+
+def _motions(scene: Scene, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    """How candidates (C, S, 4, 4) move fixed and moving points, (C, 1 + S, 4, 4).
+
+    From where they stand at the reference, relative to the origin.
+    """
+    # Copies, because an array that cannot be written to would be another type to compile for.
+    return _changes(poses.copy(), scene.poses[0].copy(), scene.origin.copy())
+
+
+@kernel
+def _changes(
+    poses: NDArray[np.float64], reference: NDArray[np.float64], origin: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """See _motions; ``reference`` (S, 4, 4)."""
+    count, scans = poses.shape[0], poses.shape[1]
+    motions = np.zeros((count, scans + 1, 4, 4))
+    for c in range(count):
+        for i in range(4):
+            motions[c, 0, i, i] = 1.0
+        for s in range(scans):
+            pose, before, motion = poses[c, s], reference[s], motions[c, s + 1]
+            for i in range(3):
+                motion[i, 3] = pose[i, 3] - origin[i]
+                for j in range(3):
+                    turn = 0.0
+                    for k in range(3):
+                        turn += pose[i, k] * before[j, k]
+                    motion[i, j] = turn
+                    motion[i, 3] -= turn * (before[j, 3] - origin[j])
+            motion[3, 3] = 1.0
+    return motions
+
+
+def _count_families(
+    labels: NDArray[np.int64], settings: MomSettings
+) -> tuple[NDArray[np.int64], tuple[int, ...], str]:
+    sizes = np.bincount(labels[labels >= 0], minlength=3).tolist()
+    counted = tuple(family for family in range(3) if sizes[family] >= settings.min_family_points)
+    if counted:
+        return labels, counted, f'mom_{len(counted)}'
+    return np.zeros(len(labels), dtype=np.int64), (0,), PLANE_VARIANCE
+
+
+def _thin_families(
+    labels: NDArray[np.int64], counted: tuple[int, ...], max_points: int
+) -> NDArray[np.int64]:
+    """Positions of at most ``max_points`` judges, ascending, shared evenly between families."""
+    share = max(max_points // len(counted), 1)
+    picks = []
+    for family in counted:
+        members = np.flatnonzero(labels == family)
+        few = len(members) <= share
+        picks.append(members if few else members[spread_positions(len(members), share)])
+    kept = np.concatenate(picks)
+    kept.sort()
+    return kept

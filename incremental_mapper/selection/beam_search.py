@@ -1,0 +1,276 @@
+"""Search for windows with more candidates than can be enumerated: a beam over prefixes.
+
+A prefix is a candidate of the window's first elements, in time order. The best few prefixes of
+every length are extended by one more cluster, connected or not; G(t-1) and a prefix together are
+a belief over a handful of variables, so an extension costs the same wherever in the window it is
+made. A prefix is judged by the same criterion as a candidate, with the scans that it has not
+placed yet where dead reckoning from its last cluster puts them.
+"""
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from incremental_mapper.candidates.model import HEAD, Candidate, Cluster, Connection
+from incremental_mapper.candidates.partitions import make_cluster
+from incremental_mapper.config import MomSettings
+from incremental_mapper.graph.values import bias_key, copy_value, pose_key, velocity_key
+from incremental_mapper.scoring.strategies import (
+    Criterion,
+    Mom,
+    Proposal,
+    StrategyPlan,
+    score_all,
+)
+from incremental_mapper.selection.window_problem import Task
+from incremental_mapper.smoothing.marginal_prior import Belief, shrink
+from incremental_mapper.smoothing.smoother import extend
+
+SHAKE = 0.04
+"""Metres that scans are expected to move against each other between the prefixes of a window."""
+FINALISTS = 240
+"""Elements in the complete candidates that are handed on, to be solved and scored together:
+the longer a window, the more each of them costs."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prefix:
+    """A candidate of the first ``position`` elements.
+
+    ``node`` is the index of the cluster that the chain of connections goes on from (HEAD for
+    G(t-1), None before there is one). ``cost`` is Σ‖h(x)−z‖² so far, with what the prefix moves
+    in G(t-1).
+    """
+
+    position: int
+    candidate: Candidate
+    node: int | None
+    belief: Belief
+    cost: float
+
+
+def beam_search(
+    task: Task, plan: StrategyPlan, mom: MomSettings, width: int, seconds: float
+) -> list[Candidate]:
+    """The most promising complete candidates, best first; empty where no prefix got through.
+
+    Keeps ``width`` prefixes of every length, and fewer as soon as the search would else take
+    longer than ``seconds``.
+    """
+    return _Search(task, plan, mom, width, seconds).run()
+
+
+class _Search:
+    def __init__(
+        self, task: Task, plan: StrategyPlan, mom: MomSettings, width: int, seconds: float
+    ) -> None:
+        self._task = task
+        self._most = width
+        self._seconds = seconds
+        self._scene = plan.scene
+        self._initial = gtsam.Values()  # of every variable that any prefix has
+        self._clusters: dict[tuple[int, int], Cluster | None] = {}
+        self._continued = task.factors.continued_scans()
+        self._criterion = self._make_criterion(plan, mom)
+
+    def run(self) -> list[Candidate]:
+        task, count = self._task, len(self._task.parts)
+        start = Candidate((), ())
+        node = None if task.head is None else HEAD
+        layers: list[list[Prefix]] = [[] for _ in range(count + 1)]
+        layers[0].append(Prefix(0, start, node, task.belief, 0.0))
+        began, extended = time.perf_counter(), 0
+        for position in range(count):
+            layer, layers[position] = layers[position], []
+            for prefix in self._best(layer, self._width(position, began, extended)):
+                for longer in self._extensions(prefix):
+                    layers[longer.position].append(longer)
+                    extended += 1
+        return [
+            prefix.candidate for prefix in self._best(layers[count], max(FINALISTS // count, 8))
+        ]
+
+    def _best(self, layer: list[Prefix], count: int) -> list[Prefix]:
+        """The best ``count`` of prefixes of the same length, best first."""
+        if not layer:
+            return []
+        proposals = [
+            Proposal(prefix.candidate, prefix.cost, self._poses(prefix) if self._scene else None)
+            for prefix in layer
+        ]
+        scores = score_all(self._criterion, proposals)
+        order = sorted(range(len(layer)), key=lambda i: (scores[i], layer[i].candidate.vertices))
+        return [layer[i] for i in order[:count]]
+
+    def _width(self, position: int, began: float, extended: int) -> int:
+        """How many prefixes of this length to extend, at the pace so far."""
+        width = self._most
+        if extended == 0:
+            return width
+        spent = time.perf_counter() - began
+        left = max(self._seconds - spent, 0.0)
+        layers = len(self._task.parts) - position
+        # One prefix has had so many extensions on average, each of them so long.
+        branching = extended / max(position, 1) / width
+        affordable = left / layers / (spent / extended) / max(branching, 1.0)
+        return int(np.clip(affordable, 1, width))
+
+    def _extensions(self, prefix: Prefix) -> Iterator[Prefix]:
+        """The prefix with one more cluster, in every way that may still come out connected."""
+        count = len(self._task.parts)
+        for last in range(prefix.position, count):
+            cluster = self._cluster(prefix.position, last)
+            if cluster is None:
+                return
+            if cluster.time_range and not self._task.may_merge:
+                return
+            # The chain of connections visits the cluster, or goes on from the node before it;
+            # the window's last cluster is always visited.
+            index = len(prefix.candidate.clusters)
+            yield from self._extended(prefix, cluster, self._link(prefix, cluster), index)
+            if last + 1 < count and self._goes_on(prefix, last + 1):
+                yield from self._extended(prefix, cluster, None, prefix.node)
+
+    def _goes_on(self, prefix: Prefix, position: int) -> bool:
+        """Whether a cluster from ``position`` on can be connected to the prefix's node."""
+        stamp = self._node_stamp(prefix)
+        later = (part[0].stamp for part in self._task.parts[position:])
+        return stamp is not None and any(
+            self._task.imu.first_sample(stamp, other) is not None for other in later
+        )
+
+    def _node_stamp(self, prefix: Prefix) -> int | None:
+        if prefix.node is None:
+            return None
+        if prefix.node == HEAD:
+            return self._task.head
+        return prefix.candidate.clusters[prefix.node].stamp
+
+    def _link(self, prefix: Prefix, cluster: Cluster) -> Connection | None:
+        stamp = self._node_stamp(prefix)
+        if stamp is None or prefix.node is None:
+            return None
+        first = self._task.imu.first_sample(stamp, cluster.stamp)
+        if first is None:
+            return None
+        end = len(prefix.candidate.clusters)
+        return Connection(prefix.node, end, stamp, cluster.stamp, first)
+
+    def _extended(
+        self, prefix: Prefix, cluster: Cluster, link: Connection | None, node: int | None
+    ) -> Iterator[Prefix]:
+        candidate = Candidate(
+            (*prefix.candidate.clusters, cluster),
+            prefix.candidate.connections if link is None else (*prefix.candidate.connections, link),
+        )
+        if link is None and not self._can_connect(candidate, cluster, node):
+            return
+        factors = self._task.factors
+        made = [
+            factor.factor
+            for factor in factors.factors(candidate, since=len(prefix.candidate.clusters))
+        ]
+        factors.add_initial(candidate, self._initial)
+        fresh = gtsam.Values()
+        own = {pose_key(factors.local_id(cluster))}
+        for key in own.union(*(factor.keys() for factor in made)):
+            if not prefix.belief.base.exists(key):
+                copy_value(self._initial, key, fresh)
+        local = factors.local_id(cluster)
+        grown, cost = extend(
+            prefix.belief, made, fresh, {local: cluster.stamp}, self._task.max_iterations
+        )
+        if not grown.healthy:
+            return
+        belief, _ = shrink(grown, self._needed(candidate, node), np.iinfo(np.int64).min)
+        yield Prefix(cluster.last + 1, candidate, node, belief, prefix.cost + cost)
+
+    def _can_connect(self, candidate: Candidate, cluster: Cluster, node: int | None) -> bool:
+        """Whether an unlinked cluster hangs, or may come to hang, on something else."""
+        if node == len(candidate.clusters) - 1:
+            return True  # the chain goes on from here
+        if len(candidate.clusters) == 1 and self._task.head is None:
+            return True
+        return any(
+            self._task.factors.has_odometry(core) or (core.sensor, core.stamp) in self._continued
+            for core in cluster.members
+        )
+
+    def _needed(self, candidate: Candidate, node: int | None) -> set[int]:
+        """Variables that later factors may touch."""
+        factors = self._task.factors
+        homes = factors.home(candidate)
+        newest: dict[str, int] = {}
+        for sensor, stamp in homes:
+            newest[sensor] = max(stamp, newest.get(sensor, stamp))
+        needed = {pose_key(homes[sensor, stamp]) for sensor, stamp in newest.items()}
+        # A chain that starts anew goes on from the last velocity and bias.
+        inertial = set[int]()
+        if candidate.connections:
+            last = candidate.clusters[candidate.connections[-1].end]
+            inertial.add(factors.local_id(last))
+        elif self._task.inertial_cluster is not None:
+            inertial.add(self._task.inertial_cluster)
+        if node is not None:
+            if node == HEAD:
+                assert self._task.head_cluster is not None
+                own = self._task.head_cluster
+            else:
+                own = factors.local_id(candidate.clusters[node])
+            needed.add(pose_key(own))
+            inertial.add(own)
+        for cluster in inertial:
+            needed |= {velocity_key(cluster), bias_key(cluster)}
+        return needed
+
+    def _cluster(self, first: int, last: int) -> Cluster | None:
+        if (first, last) not in self._clusters:
+            self._clusters[first, last] = make_cluster(self._task.parts, first, last)
+        return self._clusters[first, last]
+
+    def _poses(self, prefix: Prefix) -> NDArray[np.float64]:
+        """Poses of all moving scans, those of the rest of the window by dead reckoning."""
+        factors, values = self._task.factors, prefix.belief.values
+        clusters = list(prefix.candidate.clusters)
+        correction = gtsam.Pose3()
+        if clusters:
+            last = clusters[-1]
+            before = factors.predicted(last.stamp)
+            correction = values.atPose3(pose_key(factors.local_id(last))).compose(before.inverse())
+        for index in range(prefix.position, len(self._task.parts)):
+            single = self._cluster(index, index)
+            assert single is not None
+            pose = correction.compose(factors.predicted(single.stamp))
+            values.insert(pose_key(factors.local_id(single)), pose)
+            clusters.append(single)
+
+        def pose_of(key: int) -> gtsam.Pose3 | None:
+            return values.atPose3(key) if values.exists(key) else None
+
+        return self._task.scenes.poses(Candidate(tuple(clusters), ()), pose_of)
+
+    def _make_criterion(self, plan: StrategyPlan, mom: MomSettings) -> Criterion:
+        if not plan.scene:
+            return plan.make(None, mom, False)
+        poses = self._poses(Prefix(0, Candidate((), ()), None, self._task.belief, 0.0))
+        if len(poses) == 0:
+            return plan.make(None, mom, False)
+        criterion = plan.make(self._task.scenes.scene([poses, *_shaken(poses)]), mom, False)
+        # Nobody knows yet where the prefixes will put the scans; the finalists are judged exactly.
+        return replace(criterion, exact=False) if isinstance(criterion, Mom) else criterion
+
+
+def _shaken(poses: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """Poses (S, 4, 4) moved by SHAKE metres to either side, every other scan the other way."""
+    steps = np.zeros((len(poses), 3))
+    steps[:, 2] = steps[:, 0] = SHAKE * np.where(np.arange(len(poses)) % 2, 0.5, -0.5)
+    shaken = []
+    for sign in (-1.0, 1.0):
+        moved = poses.copy()
+        moved[:, :3, 3] += sign * steps
+        shaken.append(moved)
+    return shaken

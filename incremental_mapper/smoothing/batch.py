@@ -1,0 +1,119 @@
+"""Solving small graphs, and marginals that stand in for the rest of G(t).
+
+GTSAM returns without a word on under-constrained graphs and on NaN, so every result is checked
+for finite numbers here; QR is used throughout because Cholesky breaks down on the weakly held
+velocities and biases that candidates are full of.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+
+from incremental_mapper.graph.values import kind_of
+
+LOOSE = 1e3
+"""Standard deviation, metres or radians and so on, of what holds undetermined variables."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solution:
+    """Optimised variables, and Σ‖h(x)−z‖²_Σ over all factors that were solved."""
+
+    values: gtsam.Values
+    error: float
+
+
+def make_graph(factors: Iterable[gtsam.NonlinearFactor]) -> gtsam.NonlinearFactorGraph:
+    """Collect factors in a GTSAM graph."""
+    graph = gtsam.NonlinearFactorGraph()
+    for factor in factors:
+        graph.push_back(factor)
+    return graph
+
+
+def squared_error(factors: Iterable[gtsam.NonlinearFactor], values: gtsam.Values) -> float:
+    """Σ‖h(x)−z‖²_Σ; GTSAM's ``error`` is half of it (paper, Minimum Solver Error)."""
+    return 2.0 * float(sum(factor.error(values) for factor in factors))
+
+
+def optimize(
+    graph: gtsam.NonlinearFactorGraph, initial: gtsam.Values, max_iterations: int
+) -> Solution | None:
+    """Levenberg-Marquardt; None where the result is not finite or the graph cannot be solved."""
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setMaxIterations(max_iterations)
+    parameters.setLinearSolverType('MULTIFRONTAL_QR')
+    try:
+        optimizer = gtsam.LevenbergMarquardtOptimizer(graph, initial, parameters)
+        values = optimizer.optimize()
+        error = 2.0 * float(optimizer.error())
+    except RuntimeError:
+        return None
+    # LM hands back the initial values when the error is NaN; the error itself stays NaN.
+    if not np.isfinite(error):
+        return None
+    return Solution(values=values, error=error)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Elimination:
+    """A graph split into p(dropped | kept) · p(kept), both linear at ``values``.
+
+    ``conditional`` says how the dropped variables follow the kept ones; ``factors`` are what the
+    graph says about the kept ones alone.
+    """
+
+    values: gtsam.Values
+    conditional: gtsam.GaussianBayesNet
+    factors: tuple[gtsam.LinearContainerFactor, ...]
+
+
+def eliminate(
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, dropped: Sequence[int]
+) -> Elimination:
+    """Eliminate variables in the given order; in time order nothing fills in.
+
+    Variables that the graph leaves undetermined are held where they are, so loosely that it
+    shows nowhere else.
+    """
+    linear = graph.linearize(values)
+    conditional, rest = gtsam.GaussianBayesNet(), linear
+    if dropped:
+        ordering = gtsam.Ordering()
+        for key in dropped:
+            ordering.push_back(key)
+        try:
+            conditional, rest = linear.eliminatePartialSequential(ordering, gtsam.EliminateQR)
+        except RuntimeError:
+            held = make_graph([*(graph.at(i) for i in range(graph.size())), *_held(graph, values)])
+            conditional, rest = held.linearize(values).eliminatePartialSequential(
+                ordering, gtsam.EliminateQR
+            )
+    factors = (rest.at(i) for i in range(rest.size()))
+    return Elimination(
+        values=values,
+        conditional=conditional,
+        factors=tuple(
+            gtsam.LinearContainerFactor(factor, values)
+            for factor in factors
+            if factor is not None and factor.size() > 0
+        ),
+    )
+
+
+def _held(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> list[gtsam.NonlinearFactor]:
+    """Very loose priors at the present values on every variable of a graph."""
+    priors: list[gtsam.NonlinearFactor] = []
+    for key in graph.keyVector():
+        kind = kind_of(key)
+        model = gtsam.noiseModel.Isotropic.Sigma(3 if kind == 'v' else 6, LOOSE)
+        if kind == 'x':
+            priors.append(gtsam.PriorFactorPose3(key, values.atPose3(key), model))
+        elif kind == 'v':
+            priors.append(gtsam.PriorFactorVector(key, values.atVector(key), model))
+        else:
+            bias = values.atConstantBias(key)
+            priors.append(gtsam.PriorFactorConstantBias(key, bias, model))
+    return priors

@@ -1,0 +1,338 @@
+"""Solving sets of factors on top of a belief: one by itself, or many that share most of it."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import gtsam
+import numpy as np
+
+from incremental_mapper.graph.values import kind_of
+from incremental_mapper.smoothing.batch import make_graph
+from incremental_mapper.smoothing.linear_system import Prior, Rest, System
+from incremental_mapper.smoothing.marginal_prior import Belief
+from incremental_mapper.smoothing.tangent_layout import Array, Indices, Layout, layout_of
+
+AGREEMENT = 1e-4
+"""A solve has converged where the linear error is the true one, or the step makes the linear
+cost no smaller, to this, relative to 1 + error."""
+AT_REST = 1e-6
+"""A step is not worth taking where it makes the linear cost no smaller than this, relative to
+1 + cost."""
+HALVINGS = 8
+"""How often a step is halved until it makes the cost smaller."""
+NEAR = 0.01
+"""Radians that a set's poses may turn from where its factors were linearised: that far, errors
+are right to about a thousandth of 1 + error."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solved:
+    """Optimised variables: ``step`` (n,) away from where they are in ``start``.
+
+    ``error`` is Σ‖h(x)−z‖²_Σ of the factors, ``cost`` the same with what the belief says against
+    the step. ``system`` is all of it, linear somewhere near. ``followers`` are the belief's.
+    ``graph`` holds the factors; where it is None, the errors are those of the linear system.
+    """
+
+    belief: Belief
+    followers: Layout
+    start: gtsam.Values
+    step: Array
+    error: float
+    cost: float
+    system: System
+    graph: gtsam.NonlinearFactorGraph | None
+
+    def own(self) -> gtsam.Values:
+        """Estimates of the variables that were solved for."""
+        layout = self.system.layout
+        here = self.start.extract(layout.keys)
+        return here.retract(layout.vector_values(self.step)) if self.step.any() else here
+
+    @property
+    def values(self) -> gtsam.Values:
+        """All estimates, those of followers included."""
+        values, known, belief = self.own(), self.system.known, self.belief
+        moved = belief.ahead + belief.slopes @ self.system.total[:known]
+        followed = belief.base.extract(belief.followers)
+        values.insert(followed.retract(self.followers.vector_values(moved)))
+        return values
+
+    def pose(self, key: int) -> gtsam.Pose3 | None:
+        """Estimate of one pose; None where it is neither solved for nor a follower."""
+        if (place := self.system.layout.places.get(key)) is not None:
+            return self.start.atPose3(key).retract(self.step[place])
+        if (place := self.followers.places.get(key)) is not None:
+            moved = self.belief.slopes[place] @ self.system.total[: self.system.known]
+            return self.belief.base.atPose3(key).retract(self.belief.ahead[place] + moved)
+        return None
+
+    def linear(self) -> System:
+        """The system, linearised at the solution."""
+        if self.graph is None or not self.step.any():
+            return self.system
+        return self.system.relinearized(*_rows(self.system.layout, self.graph, self.own()))
+
+
+class Problem:
+    """Solves sets of factors on top of a belief, each by itself.
+
+    ``initial`` holds the new variables. The belief's followers are moved along.
+    """
+
+    def __init__(self, belief: Belief, initial: gtsam.Values, max_iterations: int) -> None:
+        self._belief = belief
+        self._followers = layout_of(belief.followers)
+        self._known = layout_of(belief.keys)
+        self._max_iterations = max_iterations
+        self._prior = Prior(belief.root)
+        # How far the frontier's ``values`` are from those of the belief.
+        self._total = np.zeros(self._known.size)
+        self._rhs = belief.rhs
+        self.values = gtsam.Values(belief.base)
+        self.values.insert(initial)
+
+    def solve(
+        self, factors: Iterable[gtsam.NonlinearFactor], variables: Iterable[int] = ()
+    ) -> Solved | None:
+        """Gauss-Newton; None where the result would not be finite.
+
+        Solves for all variables that the factors touch, and ``variables`` besides. Each one that
+        is new is also held at its initial value, so loosely (LOOSE) that it shows only where the
+        factors leave it undetermined.
+        """
+        graph = make_graph(factors)
+        layout = self._known.followed_by([*variables, *graph.keyVector()])
+        values = self.values.extract(layout.keys)
+        system = self._system(layout, *_rows(layout, graph, values))
+        return self._descend(graph, values, system)
+
+    def settle(self, solved: Solved, factors: Iterable[gtsam.NonlinearFactor]) -> Solved | None:
+        """Go on from the solution of the same factors until it has truly converged."""
+        if solved.graph is not None:
+            return solved
+        graph, values = make_graph(factors), solved.own()
+        system = solved.system.relinearized(*_rows(solved.system.layout, graph, values))
+        return self._descend(graph, values, system)
+
+    def _descend(
+        self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, system: System
+    ) -> Solved | None:
+        layout, error = system.layout, 2.0 * graph.error(values)
+        cost, start, last = error + system.prior_error, values, np.zeros(layout.size)
+        for _ in range(self._max_iterations):
+            best = system.best()
+            if best is None:
+                return None
+            (step, expected), better = best, False
+            if system.cost - expected.cost <= AT_REST * (1.0 + cost):
+                break
+            for _ in range(HALVINGS):
+                moved = values.retract(layout.vector_values(step))
+                reached = 2.0 * graph.error(moved)
+                better = reached + expected.prior_error <= cost * (1.0 + 1e-6) + 1e-9
+                if better:
+                    break
+                step = step / 2.0
+                expected = system.moved(step)
+            if not better:
+                break  # no shorter step helps either: this is as good as it gets
+            small = AGREEMENT * (1.0 + expected.error)
+            settled = abs(reached - expected.error) <= small or system.cost - expected.cost <= small
+            start, last, values, error, system = values, step, moved, reached, expected
+            cost = error + system.prior_error
+            if settled:
+                break
+            system = system.relinearized(*_rows(layout, graph, values))
+            start, last = values, np.zeros(layout.size)
+        if not np.isfinite(error):
+            return None
+        return self._solved(start, last, error, system, graph)
+
+    def _system(self, layout: Layout, rows: Array, rhs: Array) -> System:
+        """Belief and factors around ``values``."""
+        total = np.zeros(layout.size)
+        total[: len(self._total)] = self._total
+        rest = Rest(self._rhs, np.zeros(layout.size - len(self._total)), rhs)
+        return System(self._prior, layout, rows, rest, total)
+
+    def _solved(
+        self,
+        start: gtsam.Values,
+        step: Array,
+        error: float,
+        system: System,
+        graph: gtsam.NonlinearFactorGraph | None,
+    ) -> Solved:
+        return Solved(
+            belief=self._belief,
+            followers=self._followers,
+            start=start,
+            step=step,
+            error=error,
+            cost=error + system.prior_error,
+            system=system,
+            graph=graph,
+        )
+
+
+class SharedProblem(Problem):
+    """Sets of factors on top of one belief that have most of their factors in common.
+
+    A window's candidates are such sets. The first one is solved by itself. The others are linear
+    around its solution, where each factor is linearised once, whatever number of sets it is in.
+    A set whose solution is not NEAR, or changes the weight of a robust factor, is solved by itself.
+    ``values`` must hold all variables of a set before it is solved.
+    """
+
+    def __init__(self, belief: Belief, max_iterations: int) -> None:
+        super().__init__(belief, gtsam.Values(), max_iterations)
+        self._linear: dict[int, _Linear] = {}
+        # Columns of the variables of all sets together.
+        self._all = Layout(())
+        self._columns: dict[int, Indices] = {}
+        self._add_columns(belief.keys)
+        self._started = False
+
+    def solve_next(self, factors: Sequence[gtsam.NonlinearFactor]) -> Solved | None:
+        """The optimum of a set; None where it would not be finite."""
+        if not self._started:
+            solved = self.solve(factors)
+            if solved is not None:
+                self._start_from(solved)
+            return solved
+        linear = [self._linearized(factor) for factor in factors]
+        layout = self._known.followed_by(key for item in linear for key in item.keys)
+        system = self._system(layout, *self._gathered(linear, layout))
+        best = system.best()
+        if best is None or not _is_near(best[0], layout):
+            return self.solve(factors)
+        step, there = best
+        error = there.error + sum(item.apart for item in linear)
+        solved = self._solved(self.values, step, error, there, None)
+        if any(self._reweighs(item, step, layout, error) for item in linear if item.robust):
+            return self.settle(solved, factors)
+        return solved
+
+    def _reweighs(self, item: '_Linear', step: Array, layout: Layout, error: float) -> bool:
+        """Whether a robust factor's error differs from the linear one after a step."""
+        own = layout_of(item.keys)
+        moved = step[layout.columns(item.keys)]
+        values = self.values.extract(item.keys).retract(own.vector_values(moved))
+        rest = item.entries.reshape(-1, len(moved)) @ moved - item.rhs
+        linear = float(rest @ rest) + item.apart
+        return abs(2.0 * item.factor.error(values) - linear) > AGREEMENT * (1.0 + error)
+
+    def _start_from(self, solved: Solved) -> None:
+        """Linearise the later sets around this solution."""
+        self._started = True
+        self._total = solved.system.total[: self._known.size].copy()
+        self._rhs = self._belief.rhs - self._belief.root @ self._total
+        self.values.update(solved.own())
+
+    def _gathered(self, linear: Sequence['_Linear'], layout: Layout) -> tuple[Array, Array]:
+        """Rows (r, n) and right-hand sides (r,) of a set's factors."""
+        rhs = np.concatenate([item.rhs for item in linear])
+        # Where a column of all sets' variables stands among those of this set.
+        place = np.empty(self._all.size, dtype=np.intp)
+        place[np.concatenate([self._columns[key] for key in layout.places])] = np.arange(
+            layout.size
+        )
+        starts = np.cumsum([0, *(len(item.rhs) for item in linear[:-1])])
+        lines = np.concatenate([item.lines for item in linear])
+        lines += np.repeat(starts, [len(item.lines) for item in linear])
+        lines *= layout.size
+        lines += place.take(np.concatenate([item.columns for item in linear]))
+        rows = np.zeros((len(rhs), layout.size))
+        rows.reshape(-1)[lines] = np.concatenate([item.entries for item in linear])
+        return rows, rhs
+
+    def _linearized(self, factor: gtsam.NonlinearFactor) -> '_Linear':
+        known = self._linear.get(id(factor))
+        if known is None:
+            jacobian = factor.linearize(self.values)
+            keys, rows = tuple(jacobian.keys()), jacobian.augmentedJacobian()
+            self._add_columns(keys)
+            columns = np.concatenate([self._columns[key] for key in keys] * len(rows))
+            entries, rhs = rows[:, :-1], rows[:, -1].copy()
+            model = getattr(factor, 'noiseModel', lambda: None)()
+            robust = isinstance(model, gtsam.noiseModel.Robust)
+            known = _Linear(
+                factor=factor,
+                keys=keys,
+                entries=entries.ravel(),
+                lines=_line_numbers(*entries.shape),
+                columns=columns,
+                rhs=rhs,
+                apart=2.0 * factor.error(self.values) - float(rhs @ rhs) if robust else 0.0,
+                robust=robust,
+            )
+            self._linear[id(factor)] = known
+        return known
+
+    def _add_columns(self, keys: Iterable[int]) -> None:
+        self._all.append(keys)
+        for key in keys:
+            if key not in self._columns:
+                place = self._all.places[key]
+                self._columns[key] = np.arange(place.start, place.stop)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Linear:
+    """A factor as whitened rows over its ``keys``.
+
+    ``entries`` are the rows' numbers one after the other, each with its row in ``lines`` and its
+    column, among those of all sets, in ``columns``. ``apart`` is the true Σ‖h(x)−z‖²_Σ less the
+    linear one: that of a robust loss grows slower than the square that stands for it.
+    """
+
+    factor: gtsam.NonlinearFactor
+    keys: tuple[int, ...]
+    entries: Array
+    lines: Indices
+    columns: Indices
+    rhs: Array
+    apart: float
+    robust: bool
+
+
+@lru_cache(maxsize=64)
+def _line_numbers(rows: int, columns: int) -> Indices:
+    """The row of every entry of a matrix (rows, columns)."""
+    return np.repeat(np.arange(rows), columns)
+
+
+def _is_near(step: Array, layout: Layout) -> bool:
+    """Whether no pose turns by more than NEAR."""
+    sizes = np.abs(step)
+    if sizes.max(initial=0.0) <= NEAR:
+        return True
+    turns = [
+        index
+        for key, place in layout.places.items()
+        if kind_of(key) == 'x'
+        for index in range(place.start, place.start + 3)
+    ]
+    return bool(sizes[turns].max(initial=0.0) <= NEAR)
+
+
+def linear_system(
+    belief: Belief, layout: Layout, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values
+) -> System:
+    """Belief and factors, linearised at ``values``."""
+    rows, rhs = _rows(layout, graph, values)
+    loose = np.zeros(layout.size - belief.root.shape[1])
+    total = np.zeros(layout.size)
+    return System(Prior(belief.root), layout, rows, Rest(belief.rhs, loose, rhs), total)
+
+
+def _rows(
+    layout: Layout, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values
+) -> tuple[Array, Array]:
+    """Whitened factors (r, n) and their right-hand sides (r,)."""
+    augmented = graph.linearize(values).augmentedJacobian()
+    rows = np.zeros((len(augmented), layout.size))
+    rows[:, layout.columns(graph.keyVector())] = augmented[:, :-1]
+    return rows, augmented[:, -1].copy()

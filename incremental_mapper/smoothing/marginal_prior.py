@@ -1,0 +1,134 @@
+"""What G(t) says of its newest part, kept small: a Gaussian over the frontier, and followers.
+
+The frontier are the variables that new factors may touch. Everything older is marginalised, once
+and for good, into a square-root information matrix over the frontier; the newest of those older
+variables, the followers, still move with it by their linear conditional p(follower | frontier).
+All of it is relative to the newest estimates, so the cost of a window depends on nothing but the
+window.
+"""
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
+
+import gtsam
+import numpy as np
+from scipy.linalg.lapack import dgeqrf, dtrtrs
+
+from incremental_mapper.graph.values import cluster_of
+from incremental_mapper.smoothing.tangent_layout import Array, layout_of, solve_scaled
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Belief:
+    """Frontier and followers, linear around ``values``.
+
+    ``keys`` are the frontier's variables; what G(t) says of a tangent step δ (n,) of them is
+    ‖root · δ − rhs‖², with ``root`` (m, n) and ``rhs`` (m,). Where the last solve converged, the
+    newest estimates are the mean, and ``rhs`` is zero up to a constant. ``followers`` move by
+    ``slopes`` (f, n) · δ. ``base`` holds the frontier's newest estimates, and the followers before
+    they moved ``ahead`` (f,): there are many of them, and few are asked for. ``clusters`` are the
+    cluster ids in it with their stamps (ns). ``healthy`` is False where the last window could not
+    be solved and stays at its initial values.
+    """
+
+    keys: tuple[int, ...] = ()
+    root: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    rhs: Array = field(default_factory=lambda: np.zeros(0))
+    followers: tuple[int, ...] = ()
+    slopes: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    base: gtsam.Values = field(default_factory=gtsam.Values)
+    ahead: Array = field(default_factory=lambda: np.zeros(0))
+    clusters: Mapping[int, int] = field(default_factory=dict)
+    healthy: bool = True
+
+    @property
+    def values(self) -> gtsam.Values:
+        """The newest estimates of all variables."""
+        values = gtsam.Values(self.base)
+        values.update(self._moved(self.followers, self.ahead))
+        return values
+
+    def holder(self, key: int) -> gtsam.Values:
+        """Values that have the newest estimate of one variable, and maybe others' that are not."""
+        place = layout_of(self.followers).places.get(key)
+        return self.base if place is None else self._moved((key,), self.ahead[place])
+
+    def _moved(self, keys: tuple[int, ...], step: Array) -> gtsam.Values:
+        return self.base.extract(keys).retract(layout_of(keys).vector_values(step))
+
+    def covariance(self, key: int) -> Array | None:
+        """Marginal covariance (d, d) of a frontier variable; None where it is undetermined."""
+        layout = layout_of(self.keys)
+        columns = layout.columns([key])
+        unit = np.zeros((layout.size, len(columns)))
+        unit[columns, np.arange(len(columns))] = 1.0
+        solution = solve_scaled(self.root.T @ self.root, unit)
+        return None if solution is None else solution[columns]
+
+
+def shrink(belief: Belief, keep: Collection[int], oldest: int) -> tuple[Belief, gtsam.Values]:
+    """Leave only the variables ``keep`` in the frontier; the others become followers.
+
+    Followers of clusters older than the stamp ``oldest`` (ns), of which nothing is kept, are let
+    go: their final values come back beside the smaller belief.
+    """
+    layout = layout_of(belief.keys)
+    kept = tuple(key for key in belief.keys if key in keep)
+    dropped = tuple(key for key in belief.keys if key not in keep)
+    wanted = {cluster_of(key) for key in kept}
+    first, last = layout.columns(dropped), layout.columns(kept)
+    reduced, rest = triangle(belief.root[:, np.concatenate([first, last])], belief.rhs)
+    count = len(first)
+    # Where the last solve did not converge, the dropped ones still have a way to go: the last
+    # column.
+    solved = np.column_stack([-reduced[:count, count:], rest[:count]])
+    if count:
+        solved, _ = dtrtrs(reduced[:count, :count], solved)
+    moves = np.vstack([belief.slopes[:, first] @ solved, solved])
+    slopes, ahead = moves[:, :-1], moves[:, -1]
+    slopes[: len(belief.slopes)] += belief.slopes[:, last]
+    ahead[: len(belief.ahead)] += belief.ahead
+    followers = (*belief.followers, *dropped)
+    smaller = Belief(
+        keys=kept,
+        root=reduced[count:, count:],
+        rhs=rest[count:],
+        followers=followers,
+        slopes=slopes,
+        base=belief.base,
+        ahead=ahead,
+        clusters=belief.clusters,
+        healthy=belief.healthy,
+    )
+    old = {
+        cluster
+        for cluster, stamp in belief.clusters.items()
+        if stamp < oldest and cluster not in wanted
+    }
+    if not old:
+        return smaller, gtsam.Values()
+    gone = trimmed(smaller, {key for key in followers if cluster_of(key) in old})
+    stays = trimmed(smaller, {key for key in followers if cluster_of(key) not in old})
+    left = {cluster: stamp for cluster, stamp in belief.clusters.items() if cluster not in old}
+    return replace(stays, clusters=left), gone.values.extract(gone.followers)
+
+
+def trimmed(belief: Belief, followers: Collection[int]) -> Belief:
+    """The belief with no other followers than these."""
+    kept = tuple(key for key in belief.followers if key in followers)
+    rows = layout_of(belief.followers).columns(kept)
+    return replace(
+        belief,
+        followers=kept,
+        slopes=belief.slopes[rows],
+        base=belief.base.extract([*belief.keys, *kept]),
+        ahead=belief.ahead[rows],
+    )
+
+
+def triangle(matrix: Array, rhs: Array) -> tuple[Array, Array]:
+    """R (n, n) and c (n,) of ‖matrix · δ − rhs‖² = ‖R · δ − c‖² + constant, m >= n rows."""
+    size = matrix.shape[1]
+    packed, _, _, _ = dgeqrf(np.column_stack([matrix, rhs]), overwrite_a=1)
+    triangle = np.triu(packed[:size])
+    return triangle[:, :size], triangle[:, size]

@@ -1,0 +1,1 @@
+"""Visualization: pictures of trajectories, maps and graphs, drawn from plain values."""

@@ -1,0 +1,308 @@
+"""Pictures of a trajectory and of a map, from above and from the side."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from incremental_mapper.geometry import transform_points
+from incremental_mapper.measurements import NANOSECONDS
+from incremental_mapper.trajectory import Trajectory, fit_rigid, match_truth
+from incremental_mapper.visualization.figure import (
+    DARK,
+    DPI,
+    LIGHT,
+    WHOLE,
+    Look,
+    add_legend,
+    axes_pixels,
+    box,
+    new_figure,
+    plain,
+    save,
+    title,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.colors import Colormap
+    from matplotlib.figure import Figure
+
+DRAWN_POINTS_A_PIXEL = 1
+"""More points than this do not change a picture; every k-th one is drawn."""
+WIDE = Look(height=600)
+"""The look of a map from the side."""
+SMALLEST = 10.0
+"""Metres that a picture shows at least."""
+
+
+def draw_trajectory(
+    path: Path,
+    estimate: Trajectory,
+    truth: Trajectory | None,
+    fixes: NDArray[np.float64],
+    look: Look = WHOLE,
+) -> None:
+    """Draw the trajectory from above, over the truth and the GNSS positions that were used.
+
+    ``fixes`` is (K, 3) metres in the map frame. The truth may have a map frame of its own: the
+    part of it that the estimate covers is moved by the rigid transform that fits best. Raises
+    OutputError where matplotlib is missing or the file cannot be written.
+    """
+    save(trajectory_figure(estimate, truth, fixes, look), path)
+
+
+def draw_map(
+    path: Path, points: NDArray[np.floating], estimate: Trajectory, look: Look = WHOLE
+) -> None:
+    """Draw the map from above, coloured by height, with the trajectory over it.
+
+    ``points`` is (N, 3) metres in the map frame. Raises OutputError like ``draw_trajectory``.
+    """
+    save(map_figure(points, estimate, look), path)
+
+
+def draw_map_side(
+    path: Path,
+    points: NDArray[np.floating],
+    estimate: Trajectory,
+    look: Look = WIDE,
+) -> None:
+    """Draw the map from the side, across the main direction of the drive; see ``draw_map``."""
+    save(side_figure(points, estimate, look), path)
+
+
+def trajectory_figure(
+    estimate: Trajectory, truth: Trajectory | None, fixes: NDArray[np.float64], look: Look
+) -> 'Figure':
+    """The figure that ``draw_trajectory`` saves."""
+    theme, figure = look.theme, new_figure(look)
+    axes = figure.add_axes(_place(look))
+    shown = [estimate.positions]
+    if truth is not None:
+        reference = _aligned_truth(estimate, truth)
+        if len(reference) > 0:
+            shown.append(reference)
+            axes.plot(
+                reference[:, 0], reference[:, 1], color=theme.truth, linewidth=7, label='truth'
+            )
+    if len(fixes) > 0:
+        axes.scatter(
+            fixes[:, 0], fixes[:, 1], s=50, marker='x', color=theme.vermillion, linewidths=1.8,
+            zorder=5, label=f'GNSS positions used ({len(fixes)})',
+        )  # fmt: skip
+        shown.append(fixes)
+    label = f'estimate ({len(estimate)} poses)'
+    _draw_path(axes, estimate.positions, look, theme.blue, label, halo=0.0)
+    _fill(axes, np.concatenate(shown)[:, :2], SMALLEST)
+    title(figure, 'Trajectory from above', _describe(estimate), look)
+    _label(axes, look, 'x in m', 'y in m')
+    if len(estimate) > 0 or len(fixes) > 0:
+        add_legend(axes, look, 'best')
+    return figure
+
+
+def map_figure(points: NDArray[np.floating], estimate: Trajectory, look: Look) -> 'Figure':
+    """The figure that ``draw_map`` saves."""
+    figure = new_figure(look)
+    axes = figure.add_axes(_place(look, right=160 if look.heading else 80))
+    drawn = _thinned(points, look)
+    drawn = drawn[np.argsort(drawn[:, 2], kind='stable')]  # roofs hide the ground, not reversed
+    # A few stray returns must not shrink the street.
+    inner = np.percentile(drawn[:, :2], [0.5, 99.5], axis=0) if len(drawn) > 0 else drawn[:, :2]
+    _fill(axes, np.concatenate([inner, estimate.positions[:, :2]]), SMALLEST)
+    _draw_points(axes, drawn[:, :2], drawn[:, 2], look)
+    _draw_path(axes, estimate.positions, look, look.theme.vermillion, 'trajectory', halo=5.0)
+    _add_scale(axes, look)
+    title(figure, 'Map from above', f'{len(points):,} points'.replace(',', ' '), look)
+    _label(axes, look, 'x in m', 'y in m')
+    if len(estimate) > 0:
+        add_legend(axes, look, 'upper right')
+    return figure
+
+
+def side_figure(points: NDArray[np.floating], estimate: Trajectory, look: Look) -> 'Figure':
+    """The figure that ``draw_map_side`` saves."""
+    figure = new_figure(look)
+    axes = figure.add_axes(_place(look, right=160 if look.heading else 80))
+    drawn = _thinned(points, look)
+    along = _main_direction(estimate.positions if len(estimate) > 1 else drawn)
+    flat = np.stack([drawn[:, :2] @ along, drawn[:, 2]], axis=1)
+    path = np.stack([estimate.positions[:, :2] @ along, estimate.positions[:, 2]], axis=1)
+    inner = np.percentile(flat, [0.2, 99.8], axis=0) if len(flat) > 0 else flat
+    stretch = _fill_stretched(axes, np.concatenate([inner, path]))
+    _draw_points(axes, flat, drawn[:, 2], look)
+    _draw_path(axes, path, look, look.theme.vermillion, 'trajectory', halo=5.0)
+    heading = np.degrees(np.arctan2(along[1], along[0]))
+    facts = f'along {heading:.0f} degrees from x'
+    if stretch > 1:
+        facts += f', heights drawn {stretch} times as large'
+    title(figure, 'Map from the side', facts, look)
+    times = f' (drawn {stretch}×)' if stretch > 1 else ''
+    _label(axes, look, 'm along the drive', f'z in m{times}')
+    return figure
+
+
+def _place(look: Look, right: int = 32) -> tuple[float, float, float, float]:
+    if look.heading:
+        return box(look, 96, 72, right, 90)
+    return box(look, 62, 52, max(right, 14) if right != 32 else 14, 12)
+
+
+def _aligned_truth(estimate: Trajectory, truth: Trajectory) -> NDArray[np.float64]:
+    """True positions (M, 3) of the estimate's time span, moved into the estimate's map frame."""
+    covered, reference = match_truth(estimate, truth)
+    if len(covered) == 0:
+        return np.zeros((0, 3))
+    span = (truth.stamps >= covered.stamps[0]) & (truth.stamps <= covered.stamps[-1])
+    positions = np.concatenate(
+        [reference.positions[:1], truth.positions[span], reference.positions[-1:]]
+    )
+    return transform_points(fit_rigid(reference.positions, covered.positions), positions)
+
+
+def _thinned(points: NDArray[np.floating], look: Look) -> NDArray[np.float64]:
+    most = DRAWN_POINTS_A_PIXEL * look.width * look.height
+    return np.asarray(points[:: max(1, -(-len(points) // most))], dtype=np.float64)
+
+
+def _main_direction(positions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Unit vector (2,) along which positions (N, 3) spread most, towards the last of them."""
+    if len(positions) < 2:
+        return np.array([1.0, 0.0])
+    flat = positions[:, :2] - positions[:, :2].mean(axis=0)
+    along: NDArray[np.float64] = np.linalg.svd(flat, full_matrices=False)[2][0]
+    return along if (flat[-1] - flat[0]) @ along >= 0 else -along
+
+
+def _draw_points(
+    axes: 'Axes', flat: NDArray[np.float64], heights: NDArray[np.float64], look: Look
+) -> None:
+    """Points (N, 2) coloured by their heights (N,), and what the colours say beside them."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    low, high = np.percentile(heights, [2.0, 98.0]) if len(heights) > 0 else (0.0, 1.0)
+    norm, colours = Normalize(low, max(high, low + 0.1)), _height_colours(look)
+    size, alpha = _mark(axes, flat)
+    axes.scatter(
+        flat[:, 0], flat[:, 1], c=heights, s=size, alpha=alpha, linewidths=0, marker='o',
+        cmap=colours, norm=norm, rasterized=True,
+    )  # fmt: skip
+    place = axes.get_position()
+    gap, width = 24 / look.width, (22 if look.heading else 12) / look.width
+    gap = gap if look.heading else gap / 2
+    beside = (place.x1 + gap, place.y0, width, place.height)
+    figure = axes.get_figure(root=True)
+    bar = figure.colorbar(  # type: ignore[union-attr]
+        ScalarMappable(norm, colours), cax=axes.figure.add_axes(beside), extend='both',
+        extendfrac=0.02,
+    )  # fmt: skip
+    bar.outline.set_edgecolor(look.theme.frame)
+    bar.ax.tick_params(colors=look.theme.muted, labelsize=look.text - 1, length=3)
+    bar.set_label('height in m', fontsize=look.text, color=look.theme.ink)
+
+
+def _draw_path(
+    axes: 'Axes', positions: NDArray[np.float64], look: Look, color: str, label: str, halo: float
+) -> None:
+    """Positions joined by a line, upon one of width ``halo`` as the ground; marks at both ends."""
+    from matplotlib.patheffects import Normal, Stroke
+
+    if len(positions) == 0:
+        return
+    ground = look.theme.ground
+    effects = [Stroke(linewidth=halo, foreground=ground, alpha=0.85), Normal()] if halo else None
+    x, y = positions[:, 0], positions[:, 1]
+    axes.plot(x, y, color=color, linewidth=2.2, label=label, path_effects=effects, zorder=4)
+    for index, marker, name in ((0, 'o', 'start'), (-1, 's', 'end')):
+        axes.scatter(
+            x[index], y[index], s=look.text**2 * 0.75, marker=marker, color=ground,
+            edgecolors=color, linewidths=2.5, zorder=6, label=name,
+        )  # fmt: skip
+
+
+def _describe(estimate: Trajectory) -> str:
+    if len(estimate) == 0:
+        return 'no pose'
+    length = float(np.linalg.norm(np.diff(estimate.positions, axis=0), axis=1).sum())
+    seconds = (int(estimate.stamps[-1]) - int(estimate.stamps[0])) / NANOSECONDS
+    return f'{length:.1f} m in {seconds:.1f} s'
+
+
+def _fill(axes: 'Axes', shown: NDArray[np.float64], smallest: float) -> None:
+    """Set limits that hold ``shown`` (N, 2), fill the axes and have one scale in x and y."""
+    low, high = np.zeros(2), np.zeros(2)
+    if len(shown) > 0:
+        low, high = shown.min(axis=0), shown.max(axis=0)
+    width, height = axes_pixels(axes)
+    ratio = width / height
+    extent = np.maximum(high - low, smallest) * 1.08
+    extent = np.array([max(extent[0], extent[1] * ratio), max(extent[1], extent[0] / ratio)])
+    centre = (low + high) / 2
+    axes.set_xlim(centre[0] - extent[0] / 2, centre[0] + extent[0] / 2)
+    axes.set_ylim(centre[1] - extent[1] / 2, centre[1] + extent[1] / 2)
+    axes.set_aspect('equal', adjustable='box')
+
+
+def _fill_stretched(axes: 'Axes', shown: NDArray[np.float64]) -> int:
+    """As ``_fill``, with heights drawn larger where a long drive would be a mere line.
+
+    Returns how many times as large.
+    """
+    low, high = np.zeros(2), np.zeros(2)
+    if len(shown) > 0:
+        low, high = shown.min(axis=0), shown.max(axis=0)
+    width, height = axes_pixels(axes)
+    extent = np.maximum(high - low, [SMALLEST, 2.0]) * [1.02, 1.1]
+    room = height / width * extent[0] / extent[1]
+    stretch = max((times for times in (1, 2, 3, 5, 10, 20, 50) if times <= room), default=1)
+    scale = max(extent[0] / width, extent[1] / height * stretch)
+    axes.set_xlim(*((low[0] + high[0]) / 2 + np.array([-0.5, 0.5]) * scale * width))
+    axes.set_ylim(*((low[1] + high[1]) / 2 + np.array([-0.5, 0.5]) * scale * height / stretch))
+    return stretch
+
+
+def _mark(axes: 'Axes', points: NDArray[np.float64]) -> tuple[float, float]:
+    """Area in square points and opacity that let ``points`` fill, but not flood, the axes."""
+    width, height = axes_pixels(axes)
+    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+    inside = (points[:, 0] > left) & (points[:, 0] < right)
+    inside &= (points[:, 1] > bottom) & (points[:, 1] < top)
+    share = width * height / max(int(inside.sum()), 1)
+    diameter = float(np.clip(0.75 * np.sqrt(share), 1.6, 5.0)) * 72 / DPI
+    return diameter**2, float(np.clip(0.45 + 0.05 * share, 0.45, 0.9))
+
+
+def _height_colours(look: Look) -> 'Colormap':
+    """Viridis without the end that is lost on the ground of the picture, or without both."""
+    from matplotlib import colormaps
+    from matplotlib.colors import ListedColormap
+
+    low, high = {LIGHT: (0.0, 0.92), DARK: (0.22, 1.0)}.get(look.theme, (0.2, 0.86))
+    return ListedColormap(colormaps['viridis'](np.linspace(low, high, 256)))
+
+
+def _add_scale(axes: 'Axes', look: Look) -> None:
+    """A bar of a round length, about a sixth of the picture wide."""
+    from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
+
+    left, right = axes.get_xlim()
+    longest = (right - left) / 6
+    power = 10.0 ** np.floor(np.log10(longest))
+    length = float(max(step * power for step in (1, 2, 5) if step * power <= longest))
+    bar = AnchoredSizeBar(
+        axes.transData, length, f'{length:g} m', 'lower left', pad=0.5, borderpad=0.8, sep=5,
+        size_vertical=(right - left) * 0.002, color=look.theme.ink,
+    )  # fmt: skip
+    bar.patch.set(alpha=0.85, edgecolor='none', facecolor=look.theme.ground)
+    bar.txt_label.get_children()[0].set(color=look.theme.ink, fontsize=look.text - 1)
+    axes.add_artist(bar)
+
+
+def _label(axes: 'Axes', look: Look, x: str, y: str) -> None:
+    axes.set_xlabel(x)
+    axes.set_ylabel(y)
+    plain(axes, look)
+    axes.grid(color=look.theme.grid, linewidth=0.8)
