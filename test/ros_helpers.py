@@ -32,7 +32,7 @@ from incremental_mapper.datasets.bags import SETTINGS_FILE
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.evaluation.graph_comparison import compare_graphs, read_graph
 from incremental_mapper.measurements import NANOSECONDS
-from incremental_mapper.results.offline_run import map_source, settle_config
+from incremental_mapper.results.offline_run import effective_config, map_source
 from incremental_mapper.results.run_files import graph_tree
 from incremental_mapper.ros.node import MapperNode
 from incremental_mapper.ros.programs import free_domain
@@ -209,7 +209,7 @@ class NodeSession:
         messages = list(messages)
         for topic in sorted({item.topic for item in messages}):
             self.publisher(topic, INPUTS[topic], reliable)
-        self.settle()
+        self.refine()
         begin = time.monotonic()
         for item in messages:
             due = begin + (item.logged - messages[0].logged) / NANOSECONDS / rate
@@ -217,7 +217,7 @@ class NodeSession:
             self._publishers[item.topic].publish(item.content)
             self.sent[item.topic] += 1
 
-    def settle(self, seconds=0.3):
+    def refine(self, seconds=0.3):
         """Give discovery the other way round, or messages under way, the time they need."""
         time.sleep(seconds)
 
@@ -249,7 +249,7 @@ class NodeSession:
             self.wait(lambda: self.sent.items() <= self.arrived().items(), 'all messages')
         success, message = self.call('flush')
         assert success, message
-        self.settle()
+        self.refine()
         return self.stats()[-1] if self.received['graph_stats'] else {}
 
     def stats(self):
@@ -284,7 +284,7 @@ class NodeSession:
 def map_offline(bag, tree):
     """What the core makes of the bag under a settings tree."""
     source = open_source(bag, tree)
-    return map_source(source, settle_config(source, tree, 'test'))
+    return map_source(source, effective_config(source, tree, 'test'))
 
 
 def assert_same_graph(folder, run):

@@ -78,13 +78,13 @@ def test_kernel_uses_its_own_file_only(item):
 def test_window_finds_everything_compiled():
     program = """
         import test_mom
-        from incremental_mapper.scoring.mom import choose_judges, fast_scores
-        scene = test_mom.jittered(test_mom.room_scene(1), 5, 0.05, 1e-3)
-        for given in (scene, test_mom.with_candidates(scene)):
+        from incremental_mapper.scoring.mom import choose_query_points, fast_scores
+        local_map = test_mom.jittered(test_mom.room_scene(1), 5, 0.05, 1e-3)
+        for given in (local_map, test_mom.with_candidates(local_map)):
             given.poses.flags.writeable = given.origin.flags.writeable = False
-            judges = choose_judges(given, test_mom.SETTINGS)
-            fast_scores(judges, given.poses, given, test_mom.SETTINGS)
-            fast_scores(judges, given.poses[1:2], given, test_mom.SETTINGS, exact=False)
+            query_points = choose_query_points(given, test_mom.SETTINGS)
+            fast_scores(query_points, given.poses, given, test_mom.SETTINGS)
+            fast_scores(query_points, given.poses[1:2], given, test_mom.SETTINGS, exact=False)
         print(types() == before, sum(len(some) for _, some in before))
     """
     same, compiled = run(program, before=LOADED).split()
@@ -96,10 +96,10 @@ def test_drive_finds_everything_compiled(light_drive):
     program = f"""
         from pathlib import Path
         from incremental_mapper.datasets.open import open_source
-        from incremental_mapper.results.offline_run import settle_config
+        from incremental_mapper.results.offline_run import effective_config
         from incremental_mapper.mapping.mapper import Mapper
         source = open_source(Path({str(light_drive)!r}))
-        config = settle_config(source, {{'odometry': {{'processes': False}}}}, 'settings')
+        config = effective_config(source, {{'odometry': {{'processes': False}}}}, 'settings')
         mapper = Mapper(config)
         windows = [window for item in source.measurements() for window in mapper.push(item)]
         print(types() == before, mapper.stats()['candidates_solved'])

@@ -1,5 +1,7 @@
 """Trajectories: exact stamps through files, interpolation, and lines that are no poses."""
 
+from decimal import Decimal
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -12,9 +14,8 @@ from incremental_mapper.trajectory import Trajectory, from_matrices, read_tum, w
 SECOND = 1_000_000_000
 EPOCH = 1_544_676_777_123_456_789
 
-stamp_lists = st.lists(
-    st.integers(0, 2**62) | st.integers(EPOCH, EPOCH + 1000), min_size=1, max_size=6, unique=True
-)
+any_stamp = st.integers(-(2**63), 2**63 - 1) | st.integers(EPOCH, EPOCH + 1000)
+stamp_lists = st.lists(any_stamp, min_size=1, max_size=6, unique=True)
 
 
 def turned(stamps, positions, yaws):
@@ -99,6 +100,56 @@ def test_matrices_there_and_back_in_order_of_stamps():
     assert mended.matrices() == pytest.approx(track.matrices(), abs=1e-12)
 
 
+def read_stamps(folder, texts):
+    path = folder / 'stamps.tum'
+    path.write_text(''.join(f'{text} 0 0 0 0 0 0 1\n' for text in texts))
+    return read_tum(path).stamps.tolist()
+
+
+def notations(stamp, zeros):
+    """Ways in which programs write the seconds of a stamp."""
+    exact = Decimal(stamp).scaleb(-9)
+    digits = str(abs(stamp))
+    sign = '-' if stamp < 0 else ''
+    yield f'{exact:f}'
+    yield f'{exact:f}' + '0' * zeros
+    yield f'{exact:e}'
+    yield f'{exact:E}'
+    yield f'{sign}{digits}e-9'
+    yield f'{sign}0.{digits}e+{len(digits) - 9}' if len(digits) >= 9 else f'{sign}{digits}E-009'
+    yield f'{sign}{digits[0]}.{digits[1:]}{"0" * zeros}e{len(digits) - 10:+03d}'
+
+
+@given(any_stamp, st.integers(1, 40))
+def test_stamp_is_read_exactly_in_every_notation(tmp_path_factory, stamp, zeros):
+    folder = tmp_path_factory.mktemp('notations')
+    for text in notations(stamp, zeros):
+        assert read_stamps(folder, [text]) == [stamp], text
+
+
+@given(st.integers(-(2**62), 2**62), st.integers(-499, 499))
+def test_stamp_is_rounded_to_the_nearest_nanosecond(tmp_path_factory, stamp, thousandths):
+    seconds = (Decimal(stamp) + Decimal(thousandths).scaleb(-3)).scaleb(-9)
+    folder = tmp_path_factory.mktemp('rounded')
+    for text in (f'{seconds:f}', f'{seconds:e}'):
+        assert read_stamps(folder, [text]) == [stamp], text
+
+
+def test_stamps_are_read_as_numpy_writes_them(tmp_path):
+    # evo writes its files so; doubles of today resolve 0.24 us.
+    seconds = 1_544_581_130.9 + np.arange(3) / 10
+    path = tmp_path / 'numpy.tum'
+    np.savetxt(path, np.column_stack([seconds, np.tile([0, 0, 0, 0, 0, 0, 1], (3, 1))]))
+    assert 'e+09' in path.read_text()
+    wanted = [1_544_581_130_900_000_000 + i * 100_000_000 for i in range(3)]
+    assert read_tum(path).stamps.tolist() == pytest.approx(wanted, rel=0, abs=120)
+
+
+def test_negative_stamps_keep_their_order(tmp_path):
+    texts = ['0.5', '-0.25', '-1.75', '-0', '-2e-9']
+    assert read_stamps(tmp_path, texts) == [-1_750_000_000, -250_000_000, -2, 0, 500_000_000]
+
+
 @pytest.mark.parametrize(
     'line',
     [
@@ -109,6 +160,12 @@ def test_matrices_there_and_back_in_order_of_stamps():
         '1.5 1 nan 3 0 0 0 1',
         '1.5 1 2 3 0 0 0 0',
         '1.5,1,2,3,0,0,0,1',
+        'nan 1 2 3 0 0 0 1',
+        '-inf 1 2 3 0 0 0 1',
+        '9223372036.854775808 1 2 3 0 0 0 1',
+        '-9.223372036854775809e9 1 2 3 0 0 0 1',
+        '1e999999999 1 2 3 0 0 0 1',
+        '1544676777123456789 1 2 3 0 0 0 1',
     ],
 )
 def test_malformed_line_is_named_with_its_number_and_content(tmp_path, line):
@@ -119,6 +176,11 @@ def test_malformed_line_is_named_with_its_number_and_content(tmp_path, line):
     assert str(path) in str(caught.value)
     assert 'line 3' in str(caught.value)
     assert line in str(caught.value)
+
+
+def test_stamp_in_nanoseconds_is_refused_with_the_reason(tmp_path):
+    with pytest.raises(InputError, match='stamp in seconds'):
+        read_stamps(tmp_path, [EPOCH])
 
 
 def test_comments_empty_lines_and_short_stamps_are_read(tmp_path):

@@ -1,0 +1,107 @@
+"""The command as a process: exit status, what is on stderr, and Ctrl-C."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from incremental_mapper.trajectory import read_tum
+
+COMMAND = [sys.executable, '-m', 'incremental_mapper.cli.main']
+FILES = ('trajectory.tum', 'map.ply', 'graph.g2o', 'graph.json', 'windows.csv', 'stats.json')
+
+
+def run(*words):
+    return subprocess.run([*COMMAND, *map(str, words)], capture_output=True, text=True, timeout=60)
+
+
+def start(*words):
+    """Start the command; returns when it has begun to read the bag (its notes are printed)."""
+    process = subprocess.Popen(
+        [*COMMAND, *map(str, words)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    line = process.stderr.readline()
+    while line and 'no time of the points' not in line:
+        line = process.stderr.readline()
+    return process
+
+
+def test_refused_input_is_one_line_and_status_1(tmp_path):
+    done = run('map', tmp_path / 'none', tmp_path / 'out')
+    assert done.returncode == 1
+    assert done.stdout == ''
+    assert done.stderr.count('\n') == 1
+    assert done.stderr.startswith('incremental_mapper: ')
+    assert not (tmp_path / 'out').exists()
+
+
+@pytest.mark.parametrize(
+    'words', [(), ('map',), ('map', 'a'), ('map', 'a', 'b', '--strategy', 'best'), ('dance',)]
+)
+def test_wrong_usage_is_status_2(words, capsys):
+    from incremental_mapper.cli.main import main
+
+    with pytest.raises(SystemExit) as stopped:
+        main(words)
+    assert stopped.value.code == 2
+    assert 'usage: incremental_mapper' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize('words', [('--help',), ('map', '--help')])
+def test_help_is_status_0(words, capsys):
+    from incremental_mapper.cli.main import main
+
+    with pytest.raises(SystemExit) as stopped:
+        main(words)
+    assert stopped.value.code == 0
+    assert 'map' in capsys.readouterr().out
+
+
+def test_ctrl_c_writes_what_has_been_mapped(bag, tmp_path):
+    # How soon the first windows are there depends on the machine.
+    for tenths in range(4, 20, 3):
+        out = tmp_path / f'out_{tenths}'
+        process = start('map', bag, out)
+        time.sleep(tenths / 10.0)
+        process.send_signal(signal.SIGINT)
+        printed, errors = process.communicate(timeout=60)
+        assert process.returncode == 130, errors
+        assert 'Traceback' not in errors
+        if printed:
+            break
+    assert 'interrupted' in printed
+    assert all((out / name).is_file() for name in FILES)
+    assert not list(out.glob('.*'))
+    stats = json.loads((out / 'stats.json').read_text())
+    graph = json.loads((out / 'graph.json').read_text())
+    assert stats['interrupted'] is True
+    assert sum(stats['received'].values()) < sum(stats['input']['counts'].values())
+    assert len(read_tum(out / 'trajectory.tum')) == len(graph['clusters']) == stats['clusters'] > 0
+
+
+def test_second_ctrl_c_ends_at_once(bag, tmp_path):
+    process = start('map', bag, tmp_path / 'out')
+    time.sleep(0.3)
+    process.send_signal(signal.SIGINT)
+    time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert 'Traceback' not in errors
+    assert errors.splitlines()[-1] == 'incremental_mapper: interrupted'
+    assert not (tmp_path / 'out' / 'stats.json').exists()
+
+
+def test_ctrl_c_before_the_first_scan_is_no_failure(light_drive):
+    """Nothing was read yet: that the input holds nothing usable would be a false reproach."""
+    from incremental_mapper.datasets.open import open_source
+    from incremental_mapper.results.offline_run import Stop, effective_config, map_source
+
+    source = open_source(light_drive)
+    stop = Stop()
+    stop.wanted = True
+    with pytest.raises(KeyboardInterrupt):
+        map_source(source, effective_config(source, {}, 'settings'), stop=stop)
