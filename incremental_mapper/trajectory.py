@@ -1,6 +1,7 @@
 """A trajectory of stamped poses: interpolation and the TUM text format."""
 
 from dataclasses import dataclass
+from decimal import Decimal, InvalidOperation
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,10 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from incremental_mapper.errors import InputError
 from incremental_mapper.measurements import NANOSECONDS
+
+_NANOSECOND = Decimal('1e-9')
+_TOO_LATE = Decimal(10_000_000_000)
+_STAMPS = np.iinfo(np.int64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,17 +107,39 @@ def fit_rigid(points: NDArray[np.float64], targets: NDArray[np.float64]) -> NDAr
 
 
 def write_tum(path: Path, trajectory: Trajectory) -> None:
-    """Write ``stamp x y z qx qy qz qw`` lines; the stamp in seconds keeps all nine decimals."""
+    """Write a trajectory as TUM text.
+
+    Args:
+        path: the file to write; what it held is lost.
+        trajectory: poses, a line ``stamp x y z qx qy qz qw`` each. The stamp is in seconds and
+            keeps all nine decimals; metres and quaternions have nine decimals too.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
     with path.open('w', encoding='ascii') as file:
         for stamp, position, turn in zip(
             trajectory.stamps.tolist(), trajectory.positions, trajectory.quaternions, strict=True
         ):
             numbers = ' '.join(f'{value:.9f}' for value in (*position, *turn))
-            file.write(f'{stamp // NANOSECONDS}.{stamp % NANOSECONDS:09d} {numbers}\n')
+            seconds, fraction = divmod(abs(stamp), NANOSECONDS)
+            file.write(f'{"-" * (stamp < 0)}{seconds}.{fraction:09d} {numbers}\n')
 
 
 def read_tum(path: Path) -> Trajectory:
-    """Read a TUM trajectory; raises InputError with the line that is wrong."""
+    """Read a trajectory from TUM text.
+
+    Args:
+        path: a file of lines ``stamp x y z qx qy qz qw``; stamps are in seconds, in the notations
+            that ``stamp_of_seconds`` knows. Empty lines and lines that begin with # are skipped;
+            of several lines with one stamp the first counts.
+
+    Returns:
+        The poses sorted by stamp, with quaternions of length 1.
+
+    Raises:
+        InputError: the file cannot be read or holds no pose, or a line is none; it is named.
+    """
     stamps: list[int] = []
     rows: list[list[float]] = []
     try:
@@ -123,17 +150,17 @@ def read_tum(path: Path) -> Trajectory:
         words = line.split()
         if not words or words[0].startswith('#'):
             continue
+        reason = ''
         try:
-            seconds, _, fraction = words[0].partition('.')
-            stamp = int(seconds) * NANOSECONDS + int((fraction or '0')[:9].ljust(9, '0'))
             row = [float(word) for word in words[1:]]
-        except ValueError:
-            row = []
+            stamps.append(stamp_of_seconds(words[0]))
+        except ValueError as error:
+            row, reason = [], f' ({error})'
         if len(row) != 7 or not np.isfinite(row).all() or not np.any(row[3:]):
             raise InputError(
-                f'{path}: line {number} is {line.strip()!r}; expected "stamp x y z qx qy qz qw"'
+                f'{path}: line {number} is {line.strip()!r}{reason}; '
+                'expected "stamp x y z qx qy qz qw"'
             )
-        stamps.append(stamp)
         rows.append(row)
     if not rows:
         raise InputError(f'{path}: holds no pose; expected lines "stamp x y z qx qy qz qw"')
@@ -144,3 +171,28 @@ def read_tum(path: Path) -> Trajectory:
         positions=table[order, :3],
         quaternions=Rotation.from_quat(table[order, 3:]).as_quat().reshape(-1, 4),
     )
+
+
+def stamp_of_seconds(text: str) -> int:
+    """The stamp in nanoseconds that a number of seconds stands for.
+
+    Args:
+        text: a decimal number such as ``1544581130.999974966``, ``1.544581130999974966e+09`` or
+            ``-0.25``. Doubles would lose its last digits, so it is never one.
+
+    Returns:
+        The nearest nanosecond, exact for up to nine decimals.
+
+    Raises:
+        ValueError: the text is no finite number, or 64 bits cannot hold the stamp.
+    """
+    try:
+        seconds = Decimal(text)
+    except InvalidOperation as error:
+        raise ValueError(f'{text!r} is no number') from error
+    # Compared before it is rounded: a large exponent would make a very long integer.
+    if seconds.is_finite() and seconds.copy_abs() < _TOO_LATE:
+        stamp = int(seconds.quantize(_NANOSECOND).scaleb(9))
+        if _STAMPS.min <= stamp <= _STAMPS.max:
+            return stamp
+    raise ValueError(f'{text!r} is no stamp in seconds')

@@ -137,7 +137,7 @@ def test_stamp_is_rounded_to_the_nearest_nanosecond(tmp_path_factory, stamp, tho
 
 def test_stamps_are_read_as_numpy_writes_them(tmp_path):
     # evo writes its files so; doubles of today resolve 0.24 us.
-    seconds = 1_544_581_130.9 + np.arange(3) / 10
+    seconds = [1_544_581_130.9, 1_544_581_131.0, 1_544_581_131.1]
     path = tmp_path / 'numpy.tum'
     np.savetxt(path, np.column_stack([seconds, np.tile([0, 0, 0, 0, 0, 0, 1], (3, 1))]))
     assert 'e+09' in path.read_text()
