@@ -31,7 +31,7 @@ from incremental_mapper.datasets.source import Source
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.mapping.statistics import STAGES, peak_rss_mb
 from incremental_mapper.measurements import LidarScan, Measurement
-from incremental_mapper.results.offline_run import map_source, settle_config
+from incremental_mapper.results.offline_run import effective_config, map_source
 from incremental_mapper.selection.selector import Choice, choose
 from incremental_mapper.selection.window_problem import Task
 
@@ -56,7 +56,7 @@ def drive(work: Path, seconds: float) -> Path:
 def opened(folder: Path, tree: Tree) -> tuple[Source, Any]:
     """The input and its settled settings."""
     source = open_source(folder, tree)
-    return source, settle_config(source, tree, 'the settings')
+    return source, effective_config(source, tree, 'the settings')
 
 
 def whole(folder: Path, tree: Tree) -> dict[str, Any]:

@@ -8,7 +8,7 @@ it into a node at ``--rate`` times real time. The node's resident memory is samp
 What is meant to grow is subtracted: points of the stored scans, voxels of the map that is shown,
 and scans that wait in the bounded queue, which the node reports in /diagnostics; and clusters,
 factors and rows, which it counts in ~/graph_stats and whose sizes are measured in this process
-beforehand (graph_memory.py). Prints the slopes of lines fitted to the second half of the drive,
+beforehand (graph_memory.py). Prints the gains of lines fitted to the second half of the drive,
 in MB a minute of driving.
 """
 

@@ -30,7 +30,7 @@ from incremental_mapper.datasets.open import open_source
 from incremental_mapper.frontend.front_end import FrontEnd
 from incremental_mapper.frontend.scan_preparation import PreparedScan
 from incremental_mapper.measurements import NANOSECONDS, LidarScan
-from incremental_mapper.results.offline_run import settle_config
+from incremental_mapper.results.offline_run import effective_config
 from incremental_mapper.trajectory import Trajectory
 
 SPIN = 2.0 * np.pi * 10.0
@@ -99,7 +99,7 @@ def measure(drive: Path, tree: dict[str, Any], times: bool, seconds: float) -> O
     truth = source.truth()
     if truth is None:
         raise SystemExit(f'{drive}: has no truth')
-    end = FrontEnd(settle_config(source, tree, str(drive)))
+    end = FrontEnd(effective_config(source, tree, str(drive)))
     found: list[PreparedScan] = []
     cost, first = 0.0, None
     with watched() as parts:

@@ -24,9 +24,9 @@ from incremental_mapper.config import Config, MomSettings, read_yaml
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.datasets.source import Source
 from incremental_mapper.mapping import mapper as mapping
-from incremental_mapper.results.offline_run import settle_config
-from incremental_mapper.scoring.mom import Scene, choose_judges, direct_score, fast_scores
-from incremental_mapper.selection.local_map import SceneBuilder
+from incremental_mapper.results.offline_run import effective_config
+from incremental_mapper.scoring.mom import LocalMap, choose_query_points, direct_score, fast_scores
+from incremental_mapper.selection.local_map import LocalMapBuilder
 
 METRES, RADIANS = 0.01, 5e-4
 REGRET = 0.005
@@ -54,55 +54,55 @@ def timed(function: Callable[[], Any]) -> tuple[Any, float]:
     return result, time.thread_time() - started
 
 
-class Recorder(SceneBuilder):
-    """Keeps every scene that a mapper judges by."""
+class Recorder(LocalMapBuilder):
+    """Keeps every local_map that a mapper query_points by."""
 
-    scenes: list[Scene] = []  # noqa: RUF012 (shared by all windows)
+    local_maps: list[LocalMap] = []  # noqa: RUF012 (shared by all windows)
 
-    def scene(self, poses: Any) -> Scene:
-        """See SceneBuilder."""
-        made = super().scene(poses)
-        self.scenes.append(made)
+    def local_map(self, poses: Any) -> LocalMap:
+        """See LocalMapBuilder."""
+        made = super().local_map(poses)
+        self.local_maps.append(made)
         return made
 
 
-def windows(source: Source, config: Config, count: int) -> Iterator[Scene]:
-    """The scenes of a drive's first windows."""
-    mapping.SceneBuilder = Recorder  # type: ignore[misc]
+def windows(source: Source, config: Config, count: int) -> Iterator[LocalMap]:
+    """The local_maps of a drive's first windows."""
+    mapping.LocalMapBuilder = Recorder  # type: ignore[misc]
     mapper = mapping.Mapper(config, [name for name, some in source.info.counts.items() if some])
     given = 0
     for measurement in source.measurements():
         mapper.push(measurement)
-        for scene in Recorder.scenes:
-            yield scene
+        for local_map in Recorder.local_maps:
+            yield local_map
             given += 1
             if given == count:
                 return
-        Recorder.scenes.clear()
+        Recorder.local_maps.clear()
 
 
-def jittered(scene: Scene, count: int, rng: np.random.Generator) -> Scene:
-    """The scene with ``count`` candidates: its own, and its reference moved at random."""
-    poses = np.repeat(scene.poses[:1], count, axis=0)
-    own = min(len(scene.poses), count)
+def jittered(local_map: LocalMap, count: int, rng: np.random.Generator) -> LocalMap:
+    """The local_map with ``count`` candidates: its own, and its reference moved at random."""
+    poses = np.repeat(local_map.poses[:1], count, axis=0)
+    own = min(len(local_map.poses), count)
     turns = Rotation.from_rotvec(rng.normal(scale=RADIANS, size=(poses[..., 0, 0].size, 3)))
     poses[..., :3, :3] = turns.as_matrix().reshape(poses[..., :3, :3].shape) @ poses[..., :3, :3]
     poses[..., :3, 3] += rng.normal(scale=METRES, size=poses[..., :3, 3].shape)
-    poses[:own] = scene.poses[:own]
-    return replace(scene, poses=poses)
+    poses[:own] = local_map.poses[:own]
+    return replace(local_map, poses=poses)
 
 
 def measure(
-    scene: Scene, settings: MomSettings, count: int, rng: np.random.Generator
+    local_map: LocalMap, settings: MomSettings, count: int, rng: np.random.Generator
 ) -> Timing | None:
     """Time one window; None where it has no judge."""
-    judges, setup = timed(lambda: choose_judges(scene, settings))
-    if judges is None:
+    query_points, setup = timed(lambda: choose_query_points(local_map, settings))
+    if query_points is None:
         return None
-    fast, scoring = timed(lambda: fast_scores(judges, scene.poses, scene, settings))
-    found, searching = timed(lambda: direct_scores(judges, scene, settings))
-    many = jittered(scene, count, rng)
-    others = choose_judges(many, settings)
+    fast, scoring = timed(lambda: fast_scores(query_points, local_map.poses, local_map, settings))
+    found, searching = timed(lambda: direct_scores(query_points, local_map, settings))
+    many = jittered(local_map, count, rng)
+    others = choose_query_points(many, settings)
     assert others is not None  # the reference is the same
     _, batch = timed(lambda: fast_scores(others, many.poses, many, settings))
     pick, best = int(fast.argmin()), int(found.argmin())
@@ -118,9 +118,13 @@ def measure(
     )
 
 
-def direct_scores(judges: Any, scene: Scene, settings: MomSettings) -> NDArray[np.float64]:
-    """Every candidate of the scene by searching again."""
-    return np.array([direct_score(judges, poses, scene, settings) for poses in scene.poses])
+def direct_scores(
+    query_points: Any, local_map: LocalMap, settings: MomSettings
+) -> NDArray[np.float64]:
+    """Every candidate of the local_map by searching again."""
+    return np.array(
+        [direct_score(query_points, poses, local_map, settings) for poses in local_map.poses]
+    )
 
 
 def main() -> None:
@@ -134,13 +138,13 @@ def main() -> None:
     args = parser.parse_args()
     tree = {} if args.config is None else read_yaml(args.config)
     source = open_source(args.drive, tree)
-    config = settle_config(source, tree, str(args.config or 'settings'))
+    config = effective_config(source, tree, str(args.config or 'settings'))
     rng = np.random.default_rng(0)
     timings = [
         timing
-        for number, scene in enumerate(windows(source, config, args.windows))
+        for number, local_map in enumerate(windows(source, config, args.windows))
         if number % args.every == 0
-        and (timing := measure(scene, config.mom, args.candidates, rng)) is not None
+        and (timing := measure(local_map, config.mom, args.candidates, rng)) is not None
     ]
     if not timings:
         raise SystemExit('no window of this drive could be judged')

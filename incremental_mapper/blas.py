@@ -8,7 +8,7 @@ from threadpoolctl import ThreadpoolController
 
 
 @contextmanager
-def small_algebra() -> Iterator[None]:
+def single_threaded_blas() -> Iterator[None]:
     """Limit BLAS to one thread inside, in the whole process.
 
     A window's matrices have a few dozen rows. Waking other threads for them takes longer than the

@@ -45,14 +45,16 @@ def chains(count: int, has_head: bool) -> Iterator[tuple[int, ...]]:
             yield (first, *inner, count - 1)
 
 
-def candidates(parts: Sequence[Element], head: int | None, imu: ImuStamps) -> Iterator[Candidate]:
+def candidates(
+    elements: Sequence[Element], head: int | None, imu: ImuStamps
+) -> Iterator[Candidate]:
     """Every distinct candidate of a window.
 
     ``head`` is the stamp of the cluster of G(t-1) to connect from, or None. There are at most
     3^(N-1) with a head and ceil(3^(N-1) / 2) without one; fewer where steps have no IMU sample,
     since candidates that came out identical are yielded once.
     """
-    for clusters in partitions(parts):
+    for clusters in partitions(elements):
         seen: set[tuple[Connection, ...]] = set()
         for nodes in chains(len(clusters), head is not None):
             candidate = connect(clusters, nodes, head, imu)
@@ -61,8 +63,8 @@ def candidates(parts: Sequence[Element], head: int | None, imu: ImuStamps) -> It
                 yield candidate
 
 
-def base_candidate(parts: Sequence[Element], head: int | None, imu: ImuStamps) -> Candidate:
+def base_candidate(elements: Sequence[Element], head: int | None, imu: ImuStamps) -> Candidate:
     """The conventional graph: one cluster per element, consecutive connections."""
-    clusters = tuple(Cluster(part, i, i) for i, part in enumerate(parts))
+    clusters = tuple(Cluster(part, i, i) for i, part in enumerate(elements))
     start = [] if head is None else [HEAD]
     return connect(clusters, [*start, *range(len(clusters))], head, imu)

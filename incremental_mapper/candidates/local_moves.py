@@ -10,7 +10,7 @@ from incremental_mapper.candidates.spans import ImuStamps
 
 
 def neighbours(
-    candidate: Candidate, parts: Sequence[Element], head: int | None, imu: ImuStamps
+    candidate: Candidate, elements: Sequence[Element], head: int | None, imu: ImuStamps
 ) -> Iterator[Candidate]:
     """Candidates with two clusters merged, one split, or one more or less in the chain.
 
@@ -26,7 +26,7 @@ def neighbours(
     def made(bounds: Sequence[tuple[int, int]], visited: set[int]) -> Iterator[Candidate]:
         clusters: list[Cluster] = []
         for first, last in bounds:
-            cluster = make_cluster(parts, first, last)
+            cluster = make_cluster(elements, first, last)
             if cluster is None:
                 return
             clusters.append(cluster)

@@ -9,7 +9,7 @@ Element = tuple[CoreMeasurement, ...]
 """Core measurements with the same stamp: they are never split."""
 
 
-def elements(core: Iterable[CoreMeasurement]) -> tuple[Element, ...]:
+def group_elements(core: Iterable[CoreMeasurement]) -> tuple[Element, ...]:
     """Group core measurements by stamp, in time order."""
     return tuple(tuple(group) for _, group in groupby(sorted(core), key=lambda core: core.stamp))
 
@@ -25,28 +25,28 @@ def compositions(length: int) -> Iterator[tuple[tuple[int, int], ...]]:
             yield tuple((edges[i], edges[i + 1] - 1) for i in range(len(edges) - 1))
 
 
-def make_cluster(parts: Sequence[Element], first: int, last: int) -> Cluster | None:
+def make_cluster(elements: Sequence[Element], first: int, last: int) -> Cluster | None:
     """Cluster of the elements first..last, or None where two scans of one LiDAR would meet.
 
     Their odometry would connect the pose variable with itself, a loop.
     """
-    members = tuple(core for part in parts[first : last + 1] for core in part)
+    members = tuple(core for part in elements[first : last + 1] for core in part)
     lidars = [core.sensor for core in members if core.kind is CoreKind.LIDAR]
     if len(set(lidars)) < len(lidars):
         return None
     return Cluster(members=members, first=first, last=last)
 
 
-def partitions(parts: Sequence[Element]) -> Iterator[tuple[Cluster, ...]]:
+def partitions(elements: Sequence[Element]) -> Iterator[tuple[Cluster, ...]]:
     """All loop-free partitions of a window's elements; at most 2^(N-1)."""
-    if not parts:
+    if not elements:
         return
     cache: dict[tuple[int, int], Cluster | None] = {}
-    for composition in compositions(len(parts)):
+    for composition in compositions(len(elements)):
         clusters: list[Cluster] = []
         for run in composition:
             if run not in cache:
-                cache[run] = make_cluster(parts, *run)
+                cache[run] = make_cluster(elements, *run)
             cluster = cache[run]
             if cluster is None:
                 break

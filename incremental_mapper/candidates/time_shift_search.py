@@ -24,19 +24,19 @@ _Entry: TypeAlias = tuple[
 
 
 def by_time_shift(
-    parts: Sequence[Element], head: int | None, imu: ImuStamps, may_merge: bool = True
+    elements: Sequence[Element], head: int | None, imu: ImuStamps, may_merge: bool = True
 ) -> Iterator[Candidate]:
     """Distinct candidates of a window in ascending order of total time shift.
 
     Without ``may_merge`` measurements of different stamps never share a cluster.
     """
-    length = len(parts)
+    length = len(elements)
     if length == 0:
         return
 
     @cache
     def cluster(first: int, last: int) -> Cluster | None:
-        return make_cluster(parts, first, last)
+        return make_cluster(elements, first, last)
 
     @cache
     def sample(start: int | None, end: int) -> int | None:
@@ -49,7 +49,7 @@ def by_time_shift(
     @cache
     def useful(node: int | None, position: int) -> int | None:
         # A node that nothing later can be connected to is as good as none.
-        later = (parts[index][0].stamp for index in range(position, length))
+        later = (elements[index][0].stamp for index in range(position, length))
         return node if any(sample(node, stamp) is not None for stamp in later) else None
 
     def steps(position: int, node: int | None) -> Iterator[tuple[int, Cluster, bool, int]]:

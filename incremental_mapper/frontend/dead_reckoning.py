@@ -23,7 +23,7 @@ class State:
     bias: gtsam.imuBias.ConstantBias
 
 
-def proper(pose: gtsam.Pose3) -> gtsam.Pose3:
+def normalise(pose: gtsam.Pose3) -> gtsam.Pose3:
     """The pose with the rotation nearest to its own.
 
     GTSAM keeps rotations as matrices, and takes the transpose for the inverse. Poses that are made
@@ -51,7 +51,7 @@ def propagate(
     if len(inside) and max(abs(inside[0] - state.stamp), abs(stamp - inside[-1])) <= max_gap:
         span = integrate(samples, state.stamp, stamp, parameters, state.bias)
         moved = span.predict(gtsam.NavState(state.pose, state.velocity), state.bias)
-        return State(stamp, proper(moved.pose()), moved.velocity(), state.bias)
+        return State(stamp, normalise(moved.pose()), moved.velocity(), state.bias)
     shift = state.velocity * ((stamp - state.stamp) / NANOSECONDS)
     pose = gtsam.Pose3(state.pose.rotation(), state.pose.translation() + shift)
     return State(stamp, pose, state.velocity, state.bias)
@@ -82,7 +82,7 @@ def predict(
             last = poses.get((item.core.sensor, item.previous)) if item.previous else None
             if last is not None and item.previous is not None and stamp not in states:
                 assert item.T_previous_current is not None
-                pose = proper(last.compose(item.T_previous_current))
+                pose = normalise(last.compose(item.T_previous_current))
                 velocity = moved.velocity
                 if not velocity_known:
                     passed = (stamp - item.previous) / NANOSECONDS

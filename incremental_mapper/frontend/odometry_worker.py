@@ -1,6 +1,6 @@
 """A program of its own that prepares one LiDAR's scans: scans in on stdin, results on stdout.
 
-Run by ``scan_process``. It ends when its stdin does, so it never outlives the mapper.
+Run by ``odometry_process``. It ends when its stdin does, so it never outlives the mapper.
 """
 
 import os

@@ -14,7 +14,7 @@ from incremental_mapper.candidates.model import (
     CoreMeasurement,
 )
 from incremental_mapper.config import Config
-from incremental_mapper.frontend.dead_reckoning import State, propagate, proper
+from incremental_mapper.frontend.dead_reckoning import State, normalise, propagate
 from incremental_mapper.frontend.front_end import Prepared, PreparedFix
 from incremental_mapper.frontend.gnss import Alignment
 from incremental_mapper.frontend.imu_preintegration import ImuSeries, preintegrate
@@ -23,13 +23,13 @@ from incremental_mapper.graph.factors import (
     Factor,
     FactorKind,
     between_factor,
-    bias_continuity,
     bias_prior,
+    bias_random_walk,
+    constant_velocity_prior,
     gnss_factor,
     imu_factor,
     pose_prior,
     pose_sigmas,
-    velocity_continuity,
     velocity_prior,
 )
 from incremental_mapper.graph.frontier import Frontier, chain_start
@@ -66,7 +66,7 @@ class WindowFactors:
         self._in = inputs
         self._cache: dict[tuple[object, ...], tuple[Factor, ...]] = {}
         self._offsets: dict[tuple[int, int], gtsam.Pose3] = {}
-        self._reckoned: dict[int, State] = {}
+        self._dead_reckoned: dict[int, State] = {}
         self._partitions = Partitions(inputs.prepared, inputs.frontier, elements)
         self._sigmas = pose_sigmas(
             inputs.config.odometry.sigma_translation, inputs.config.odometry.sigma_rotation
@@ -98,18 +98,18 @@ class WindowFactors:
         key = (cluster.stamp, stamp)
         if key not in self._offsets:
             # Dead reckoning from one state keeps the noise of single matches out of this.
-            at = [self._reckon(moment) for moment in key]
+            at = [self._dead_reckon(moment) for moment in key]
             self._offsets[key] = at[0].pose.between(at[1].pose)
         return self._offsets[key]
 
-    def _reckon(self, stamp: int) -> State:
-        if stamp not in self._reckoned:
+    def _dead_reckon(self, stamp: int) -> State:
+        if stamp not in self._dead_reckoned:
             inputs = self._in
             max_gap = round(inputs.config.preintegration.max_gap * NANOSECONDS)
-            self._reckoned[stamp] = propagate(
+            self._dead_reckoned[stamp] = propagate(
                 inputs.head_state, stamp, inputs.series, inputs.parameters, max_gap
             )
-        return self._reckoned[stamp]
+        return self._dead_reckoned[stamp]
 
     def factors(self, candidate: Candidate, since: int = 0) -> list[Factor]:
         """All factors of a candidate except priors that hold loose components.
@@ -160,7 +160,7 @@ class WindowFactors:
             if isinstance(item, PreparedScan) and item.previous is not None
         }
 
-    def weak_prior(self, cluster: Cluster) -> Factor:
+    def regularising_prior(self, cluster: Cluster) -> Factor:
         """Holds a component that nothing else connects, at its predicted pose."""
         graph = self._in.config.graph
         sigmas = pose_sigmas(graph.weak_sigma_position, graph.weak_sigma_rotation)
@@ -223,7 +223,7 @@ class WindowFactors:
             values.insert(velocity_key(cluster), state.velocity)
             insert_bias(values, bias_key(cluster), state.bias)
 
-    def learned(self, candidate: Candidate, values: gtsam.Values) -> dict[int, State]:
+    def warm_start(self, candidate: Candidate, values: gtsam.Values) -> dict[int, State]:
         """States at the window's stamps, put right by the ``values`` of a solved candidate.
 
         Where it has no cluster, a state differs from the predicted one as the nearest does.
@@ -248,7 +248,7 @@ class WindowFactors:
                 change = predicted.velocity - self._in.states[near].velocity
                 velocity = values.atVector(velocity_key(own)) + change
                 bias = values.atConstantBias(bias_key(own))
-            found[stamp] = State(stamp, proper(pose), velocity, bias)
+            found[stamp] = State(stamp, normalise(pose), velocity, bias)
         return found
 
     def _odometry(
@@ -367,14 +367,14 @@ class WindowFactors:
             return (*made, bias_prior(bias_key(id_), self._in.head_state.bias, graph, stamp))
         passed = max(stamp - earlier[1], SHORTEST) / NANOSECONDS
         stamps = (earlier[1], stamp)
-        if FactorKind.CONTINUITY_VELOCITY in kinds:
+        if FactorKind.CONSTANT_VELOCITY in kinds:
             keys = (velocity_key(earlier[0]), velocity_key(id_))
             begin = max(earlier[1], self._in.head_state.stamp)
-            change = self._reckon(stamp).velocity - self._reckon(begin).velocity
-            made.append(velocity_continuity(keys, change, UNSEEN_ACCELERATION * passed, stamps))
+            change = self._dead_reckon(stamp).velocity - self._dead_reckon(begin).velocity
+            made.append(constant_velocity_prior(keys, change, UNSEEN_ACCELERATION * passed, stamps))
         walks = [imu.accelerometer_bias_walk] * 3 + [imu.gyroscope_bias_walk] * 3
         keys = (bias_key(earlier[0]), bias_key(id_))
-        made.append(bias_continuity(keys, np.sqrt(passed) * np.array(walks), stamps))
+        made.append(bias_random_walk(keys, np.sqrt(passed) * np.array(walks), stamps))
         return tuple(made)
 
     def _first_prior(self, cluster: Cluster) -> Factor:

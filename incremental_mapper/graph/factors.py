@@ -24,12 +24,12 @@ class FactorKind(StrEnum):
     PRIOR_POSE = 'prior_pose'
     PRIOR_VELOCITY = 'prior_velocity'
     PRIOR_BIAS = 'prior_bias'
-    CONTINUITY_VELOCITY = 'continuity_velocity'
-    CONTINUITY_BIAS = 'continuity_bias'
+    CONSTANT_VELOCITY = 'continuity_velocity'
+    BIAS_RANDOM_WALK = 'continuity_bias'
     BRIDGE = 'bridge'
 
 
-CONTINUITY = frozenset({FactorKind.CONTINUITY_VELOCITY, FactorKind.CONTINUITY_BIAS})
+BETWEEN_STATES = frozenset({FactorKind.CONSTANT_VELOCITY, FactorKind.BIAS_RANDOM_WALK})
 """What carries velocity and bias over to a chain of IMU spans that starts anew."""
 
 
@@ -237,40 +237,40 @@ def bias_prior(
     )
 
 
-def velocity_continuity(
+def constant_velocity_prior(
     keys: tuple[int, int], change: NDArray[np.float64], sigma: float, stamps: tuple[int, int]
 ) -> Factor:
     """Velocity of two clusters with no IMU span between them: ``change`` (3,) in the map, m/s."""
     noise = gtsam.noiseModel.Isotropic.Sigma(3, sigma)
     return Factor(
-        kind=FactorKind.CONTINUITY_VELOCITY,
+        kind=FactorKind.CONSTANT_VELOCITY,
         keys=keys,
         factor=gtsam.BetweenFactorVector(*keys, change, noise),
         stamps=stamps,
-        describe=_describe_velocity_continuity,
+        describe=_describe_constant_velocity,
     )
 
 
-def _describe_velocity_continuity(factor: Any) -> dict[str, Any]:
+def _describe_constant_velocity(factor: Any) -> dict[str, Any]:
     return {
         'change': np.asarray(factor.measured()).tolist(),
         'sigma': float(factor.noiseModel().sigmas()[0]),
     }
 
 
-def bias_continuity(
+def bias_random_walk(
     keys: tuple[int, int], sigmas: NDArray[np.float64], stamps: tuple[int, int]
 ) -> Factor:
     """Bias of two clusters with no IMU span between them; ``sigmas`` (6,) of its random walk."""
     noise = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
     return Factor(
-        kind=FactorKind.CONTINUITY_BIAS,
+        kind=FactorKind.BIAS_RANDOM_WALK,
         keys=keys,
         factor=gtsam.BetweenFactorConstantBias(*keys, gtsam.imuBias.ConstantBias(), noise),
         stamps=stamps,
-        describe=_describe_bias_continuity,
+        describe=_describe_random_walk,
     )
 
 
-def _describe_bias_continuity(factor: Any) -> dict[str, Any]:
+def _describe_random_walk(factor: Any) -> dict[str, Any]:
     return {'sigmas': factor.noiseModel().sigmas().tolist()}

@@ -45,5 +45,5 @@ def chain_start(before: int | None, stamp: int, max_gap: int) -> tuple[FactorKin
     if before is None:
         return FactorKind.PRIOR_VELOCITY, FactorKind.PRIOR_BIAS
     if stamp - before > max_gap:
-        return FactorKind.PRIOR_VELOCITY, FactorKind.CONTINUITY_BIAS
-    return FactorKind.CONTINUITY_VELOCITY, FactorKind.CONTINUITY_BIAS
+        return FactorKind.PRIOR_VELOCITY, FactorKind.BIAS_RANDOM_WALK
+    return FactorKind.CONSTANT_VELOCITY, FactorKind.BIAS_RANDOM_WALK

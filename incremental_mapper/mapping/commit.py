@@ -11,7 +11,7 @@ from incremental_mapper.config import Config
 from incremental_mapper.frontend.front_end import PreparedFix
 from incremental_mapper.frontend.scan_preparation import PreparedScan
 from incremental_mapper.graph.factor_builder import WindowFactors, WindowInputs
-from incremental_mapper.graph.factors import CONTINUITY, Factor, FactorKind
+from incremental_mapper.graph.factors import BETWEEN_STATES, Factor, FactorKind
 from incremental_mapper.graph.frontier import Frontier
 from incremental_mapper.graph.values import bias_key, copy_value, pose_key, velocity_key
 from incremental_mapper.measurements import NANOSECONDS
@@ -23,8 +23,8 @@ from incremental_mapper.smoothing.graph_state import (
     PlacedFix,
     PlacedScan,
 )
-from incremental_mapper.smoothing.marginal_prior import shrink
-from incremental_mapper.smoothing.smoother import adopt, extend
+from incremental_mapper.smoothing.marginal_prior import marginalise
+from incremental_mapper.smoothing.smoother import commit_solution, smoother_update
 
 KNOWN_VELOCITY = 0.5
 """m/s; a velocity with a smaller standard deviation may be used to predict motion."""
@@ -70,20 +70,22 @@ def append_candidate(
     made = [_renamed(factor, final) for factor in [*factors.factors(candidate), *extra]]
     stamps = {item.id: item.cluster.stamp for item in placed}
     if solved is not None and not extra:
-        state.belief, error = adopt(state.belief, solved, final, stamps), solved.error
+        state.prior, error = commit_solution(state.prior, solved, final, stamps), solved.error
     else:
         values, initial = gtsam.Values(), factors.initial(candidate)
         for key in initial.keys():  # noqa: SIM118 (no mapping)
             copy_value(initial, key, values, final.get(key, key))
         plain = [factor.factor for factor in made]
-        state.belief, _ = extend(state.belief, plain, values, stamps, config.graph.max_iterations)
-        error = squared_error(plain, state.belief.base)
+        state.prior, _ = smoother_update(
+            state.prior, plain, values, stamps, config.graph.max_iterations
+        )
+        error = squared_error(plain, state.prior.base)
     _remember_measurements(state, placed, factors, inputs, made)
     state.add_factors(made)
     state.clusters.extend(placed)
     for factor in made:
         # Continuity is no measurement: what only that holds together counts as apart.
-        for key in factor.keys if factor.kind not in CONTINUITY else ():
+        for key in factor.keys if factor.kind not in BETWEEN_STATES else ():
             state.components.union(factor.keys[0], key)
     state.frontier = _next_frontier(state, placed, inputs, consecutive)
     head = state.frontier.head
@@ -93,7 +95,7 @@ def append_candidate(
     elif len(inputs.states) > 0:
         state.last_velocity = inputs.states[max(inputs.states)].velocity
     oldest = state.frontier.newest_stamp - round(config.graph.lag * NANOSECONDS)
-    state.belief, gone = shrink(state.belief, state.frontier.keys(), oldest)
+    state.prior, gone = marginalise(state.prior, state.frontier.keys(), oldest)
     state.keep(gone)
     return Appended(tuple(placed), error)
 
@@ -102,7 +104,7 @@ def _velocity_sigma(state: GraphState, cluster: int) -> float:
     """Largest standard deviation of a cluster's velocity, m/s; only asked for at the start."""
     if state.velocity_known:
         return 0.0
-    covariance = state.belief.covariance(velocity_key(cluster))
+    covariance = state.prior.covariance(velocity_key(cluster))
     if covariance is None:
         return float('inf')
     return float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))

@@ -14,16 +14,16 @@ from incremental_mapper.geometry import pose_matrix
 from incremental_mapper.graph.factors import (
     Factor,
     FactorKind,
+    constant_velocity_prior,
     gnss_factor,
     pose_prior,
-    velocity_continuity,
     velocity_prior,
 )
 from incremental_mapper.graph.values import copy_value, kind_of
 from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.smoothing.batch import make_graph, optimize
 from incremental_mapper.smoothing.graph_state import GraphState
-from incremental_mapper.smoothing.smoother import belief_of
+from incremental_mapper.smoothing.smoother import marginal_prior_of
 
 MOST_FIXES = 40
 """Newest fixes that are looked at for a track; a car may stand for long before it moves."""
@@ -90,7 +90,7 @@ def georeference(state: GraphState, config: Config) -> bool:
     values = turned if solution is None else solution.values
     clusters = {placed.id: placed.cluster.stamp for placed in state.clusters}
     newest = max(clusters.values())
-    state.belief, state.values = belief_of(
+    state.prior, state.values = marginal_prior_of(
         plain,
         values,
         clusters,
@@ -135,8 +135,8 @@ def _turned_factor(factor: Factor, T_enu_map: gtsam.Pose3, config: Config) -> Fa
         data = factor.data
         velocity = T_enu_map.rotation().rotate(np.array(data['velocity']))
         return velocity_prior(factor.keys[0], velocity, data['sigma'], factor.stamps[0])
-    if factor.kind is FactorKind.CONTINUITY_VELOCITY:
+    if factor.kind is FactorKind.CONSTANT_VELOCITY:
         data, (first, second), (start, end) = factor.data, factor.keys, factor.stamps
         change = T_enu_map.rotation().rotate(np.array(data['change']))
-        return velocity_continuity((first, second), change, data['sigma'], (start, end))
+        return constant_velocity_prior((first, second), change, data['sigma'], (start, end))
     return factor

@@ -4,20 +4,20 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
-class Effort:
+class LoadShedding:
     """Limits for the next windows.
 
     Of the connected candidates at most ``candidates`` are solved, the least shifted ones; None
     solves all. ``windows`` closed windows are merged into one. While an older window's scans are
-    prepared in other processes, so many more may be prepared behind it, ``ahead``.
+    prepared in other processes, so many more may be prepared behind it, ``read_ahead``.
     """
 
     candidates: int | None = None
     windows: int = 1
-    ahead: int = 5
+    read_ahead: int = 5
 
 
-FULL = Effort()
+NO_SHEDDING = LoadShedding()
 """No limits: what is spent on a window in time."""
-AHEAD = Effort(ahead=60)
+READ_AHEAD = LoadShedding(read_ahead=60)
 """No limits, and where nobody waits for a window: goes on reading while the processes start."""

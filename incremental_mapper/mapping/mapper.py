@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from incremental_mapper.blas import small_algebra
+from incremental_mapper.blas import single_threaded_blas
 from incremental_mapper.candidates.enumeration import base_candidate
-from incremental_mapper.candidates.partitions import elements
+from incremental_mapper.candidates.partitions import group_elements
 from incremental_mapper.candidates.spans import ImuStamps
 from incremental_mapper.candidates.time_shift_search import by_time_shift
 from incremental_mapper.config import Config
@@ -24,13 +24,13 @@ from incremental_mapper.mapping.base_count import BaseCount
 from incremental_mapper.mapping.commit import NOTHING, Appended, append_candidate
 from incremental_mapper.mapping.georeferencing import georeference
 from incremental_mapper.mapping.kernels import load_kernels
-from incremental_mapper.mapping.load_shedding import FULL, Effort
+from incremental_mapper.mapping.load_shedding import NO_SHEDDING, LoadShedding
 from incremental_mapper.mapping.result import MapResult, NewestState, WindowResult
 from incremental_mapper.mapping.statistics import Totals, run_stats, window_row
 from incremental_mapper.mapping.window_buffer import Window, WindowBuffer, joined
 from incremental_mapper.measurements import NANOSECONDS, ImuSample, Measurement
 from incremental_mapper.scoring.strategies import strategy_plan
-from incremental_mapper.selection.local_map import SceneBuilder
+from incremental_mapper.selection.local_map import LocalMapBuilder
 from incremental_mapper.selection.selector import Choice, choose
 from incremental_mapper.selection.window_inputs import window_inputs
 from incremental_mapper.selection.window_problem import Task
@@ -64,9 +64,9 @@ class Mapper:
         self._buffer = WindowBuffer(config.window, sensors)
         # Closed, and waiting for their scans or to be merged with the next.
         self._held: list[tuple[Window, Preparation]] = []
-        self._effort = FULL
+        self._shedding = NO_SHEDDING
         self._front_end = FrontEnd(config)
-        load_kernels(self._plan.scene)  # while the front end's processes start
+        load_kernels(self._plan.local_map)  # while the front end's processes start
         self._parameters = preintegration_parameters(config.preintegration, config.imu.matrix())
         self._imu_gap = round(config.preintegration.max_gap * NANOSECONDS)
         self._series = EMPTY_SERIES
@@ -86,28 +86,30 @@ class Mapper:
         """Take in a measurement and run the windows that it closed."""
         return list(self.advance(measurement))
 
-    def advance(self, measurement: Measurement, effort: Effort = FULL) -> Iterator[WindowResult]:
+    def advance(
+        self, measurement: Measurement, shedding: LoadShedding = NO_SHEDDING
+    ) -> Iterator[WindowResult]:
         """As ``push``, one window at a time: ``newest`` then tells of each.
 
-        ``effort`` limits what is spent on the windows.
+        ``shedding`` limits what is spent on the windows.
         """
         self._totals.received[measurement.sensor] += 1
         self._buffer.push(measurement)
-        self._effort = effort
+        self._shedding = shedding
         self._hold(self._buffer.pop_ready())
-        while self._may_run(effort.windows):
-            yield self._run(self._next_window(effort.windows))
+        while self._may_run(shedding.windows):
+            yield self._run(self._next_window(shedding.windows))
 
     def flush(self) -> list[WindowResult]:
         """Close and run every open window without waiting for anything late."""
         return list(self.drain())
 
-    def drain(self, effort: Effort = FULL) -> Iterator[WindowResult]:
+    def drain(self, shedding: LoadShedding = NO_SHEDDING) -> Iterator[WindowResult]:
         """As ``flush``, one window at a time."""
-        self._effort = effort
+        self._shedding = shedding
         self._hold(self._buffer.flush())
         while self._held:
-            yield self._run(self._next_window(effort.windows))
+            yield self._run(self._next_window(shedding.windows))
         if self._carried:
             last = self._carried[-1].core.stamp
             yield self._window([], _Frame(last, last + 1, 0, {}), force=True)
@@ -117,7 +119,7 @@ class Mapper:
         self.flush()
         return self.result()
 
-    @small_algebra()
+    @single_threaded_blas()
     def result(self) -> MapResult:
         """The map of all windows so far; the mapper can go on afterwards.
 
@@ -154,7 +156,7 @@ class Mapper:
         return NewestState(
             stamp=self._state.frontier.newest_stamp,
             pose=self._state.pose(cluster),
-            covariance=self._state.belief.covariance(pose_key(cluster)),
+            covariance=self._state.prior.covariance(pose_key(cluster)),
             velocity=self._state.velocity(cluster) if inertial else self._state.last_velocity,
         )
 
@@ -193,7 +195,7 @@ class Mapper:
         if len(self._held) < count:
             return False
         ready = all(preparation.done for _, preparation in self._held[:count])
-        return ready or len(self._held) > count + self._effort.ahead
+        return ready or len(self._held) > count + self._shedding.read_ahead
 
     def _next_window(self, count: int) -> tuple[Window, list[Preparation]]:
         """The oldest ``count`` windows that wait, as one."""
@@ -217,7 +219,7 @@ class Mapper:
         if self._orientation is None and sample.orientation is not None:
             self._orientation = sample.orientation
 
-    @small_algebra()
+    @single_threaded_blas()
     def _window(
         self,
         prepared: Sequence[Prepared],
@@ -238,20 +240,22 @@ class Mapper:
             self._parameters,
             self.config,
         )
-        parts = elements(item.core for item in items)
-        factors = WindowFactors(inputs, len(parts))
-        scenes = SceneBuilder(items, inputs, factors, self._state, self.config.mom.submap_scans)
+        elements = group_elements(item.core for item in items)
+        factors = WindowFactors(inputs, len(elements))
+        local_maps = LocalMapBuilder(
+            items, inputs, factors, self._state, self.config.mom.submap_scans
+        )
         frontier = self._state.frontier
         task = Task(
-            parts=parts,
+            elements=elements,
             head=None if frontier.head is None else frontier.head_stamp,
             head_cluster=frontier.head,
             inertial_cluster=frontier.inertial,
             imu=ImuStamps(self._series.stamps, self._imu_gap),
             factors=factors,
-            scenes=scenes,
-            belief=trimmed(
-                self._state.belief, self._state.recent_poses(self.config.mom.submap_scans)
+            local_maps=local_maps,
+            prior=trimmed(
+                self._state.prior, self._state.recent_poses(self.config.mom.submap_scans)
             ),
             # How far a merged measurement must be moved is unknown before the velocity is.
             may_merge=self._state.velocity_known or not self.config.graph.motion_compensation,
@@ -259,9 +263,9 @@ class Mapper:
         )
         frame.seconds['candidates'] = time.perf_counter() - started
         choice = choose(
-            task, self._plan, self.config.selection, self.config.mom, self._effort.candidates
+            task, self._plan, self.config.selection, self.config.mom, self._shedding.candidates
         )
-        extra = [factors.weak_prior(part[0]) for part in choice.loose]
+        extra = [factors.regularising_prior(part[0]) for part in choice.loose]
         if choice.winner is None:
             waited = (items[-1].core.stamp - items[0].core.stamp) / NANOSECONDS
             if not force and waited < self.config.window.max_carry:
@@ -282,8 +286,8 @@ class Mapper:
         Taken only when measurements have waited for ``window.max_carry`` and nothing came that
         connects them.
         """
-        least = next(by_time_shift(task.parts, task.head, task.imu))
-        base = base_candidate(task.parts, task.head, task.imu)
+        least = next(by_time_shift(task.elements, task.head, task.imu))
+        base = base_candidate(task.elements, task.head, task.imu)
         best = min((least, base), key=lambda item: len(task.factors.components(item)))
         newest = self._state.frontier.newest
         loose = task.factors.components(best)
@@ -310,7 +314,7 @@ class Mapper:
             inputs,
             consecutive=self._plan.only_base,
         )
-        self._totals.solver_failures += int(not self._state.belief.healthy)
+        self._totals.solver_failures += int(not self._state.prior.healthy)
         georeference(self._state, self.config)
         frontier = self._state.frontier
         # Samples after the last cluster stamp belong to the next window.
@@ -320,7 +324,7 @@ class Mapper:
     def _count_base(self, prepared: Sequence[Prepared]) -> None:
         imu = ImuStamps(self._series.stamps, self._imu_gap)
         known = {item.core: item for item in prepared}
-        for part in elements(known):
+        for part in group_elements(known):
             stamp = part[0].stamp
             before = self._base.last
             joined = before is not None and imu.first_sample(before, stamp) is not None

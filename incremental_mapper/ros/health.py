@@ -7,7 +7,7 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from std_msgs.msg import Header
 
-from incremental_mapper.mapping.load_shedding import FULL
+from incremental_mapper.mapping.load_shedding import NO_SHEDDING
 from incremental_mapper.mapping.statistics import STAGES
 from incremental_mapper.measurements import Drops
 from incremental_mapper.ros.result_messages import status
@@ -87,16 +87,16 @@ class Health:
 
     def _queue(self) -> DiagnosticStatus:
         core, imu = self._worker.inbox.waiting()
-        effort = self._worker.inbox.effort()
+        shedding = self._worker.inbox.shedding()
         row = {} if self._last is None else self._last.result.row
         stats = self._stats()
-        overloaded = effort != FULL
+        overloaded = shedding != NO_SHEDDING
         values = {
             'queue_core': core,
             'queue_imu': imu,
             'queue_mb': round(self._worker.inbox.nbytes() / MB, 2),
-            'candidates_limit': effort.candidates,
-            'windows_merged_into_one': effort.windows,
+            'candidates_limit': shedding.candidates,
+            'windows_merged_into_one': shedding.windows,
             'window_s': row.get('window_s', 0.0),
             **{f'{stage}_s': row.get(f'{stage}_s', 0.0) for stage in STAGES},
             'cut_windows': stats.get('cut_windows', 0),

@@ -8,7 +8,7 @@ from enum import StrEnum
 from typing import TypeAlias
 
 from incremental_mapper.config import QueueSettings
-from incremental_mapper.mapping.load_shedding import FULL, Effort
+from incremental_mapper.mapping.load_shedding import NO_SHEDDING, LoadShedding
 from incremental_mapper.measurements import Drops, ImuSample, LidarScan, Measurement
 
 SHRINK_FROM, MERGE_FROM, MERGE_MORE_FROM = 0.2, 0.5, 0.75
@@ -109,7 +109,7 @@ class Inbox:
         with self._filled:
             return sum(item.points.nbytes for item in self._items if isinstance(item, LidarScan))
 
-    def effort(self) -> Effort:
+    def shedding(self) -> LoadShedding:
         """What may be spent on the next windows at this filling."""
         core, imu = self.waiting()
         return effort_at(max(core / self._limits[False], imu / self._limits[True]))
@@ -128,14 +128,14 @@ class Inbox:
                 return
 
 
-def effort_at(filling: float) -> Effort:
+def effort_at(filling: float) -> LoadShedding:
     """Limits at a filling of the queue between 0 and 1: first less search, then fewer windows."""
     if filling < SHRINK_FROM:
-        return FULL
+        return NO_SHEDDING
     share = max(MERGE_FROM - filling, 0.0) / (MERGE_FROM - SHRINK_FROM)
     candidates = round(LEAST_CANDIDATES + share * (MOST_CANDIDATES - LEAST_CANDIDATES))
     windows = 1 + (filling >= MERGE_FROM) + (filling >= MERGE_MORE_FROM)
-    return Effort(candidates=candidates, windows=windows)
+    return LoadShedding(candidates=candidates, windows=windows)
 
 
 class Deadline:

@@ -23,7 +23,7 @@ from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 
 from incremental_mapper.errors import ConfigError, MapperError
-from incremental_mapper.mapping.load_shedding import FULL
+from incremental_mapper.mapping.load_shedding import NO_SHEDDING
 from incremental_mapper.ros.health import Health
 from incremental_mapper.ros.inbox import Command, Deadline, Order
 from incremental_mapper.ros.parameters import NodeParameters
@@ -168,7 +168,7 @@ class MapperNode:
     def _on_tick(self) -> None:
         self._worker.graph_span = self.parameters.config.graph.markers_span
         self._outputs.tick()
-        overloaded = self._worker.inbox.effort() != FULL
+        overloaded = self._worker.inbox.shedding() != NO_SHEDDING
         if overloaded and not self._overloaded:
             self._logger.warning(
                 'measurements come faster than they are mapped: fewer candidates are tried, then '

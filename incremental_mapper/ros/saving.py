@@ -6,14 +6,17 @@ import traceback
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
-from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from incremental_mapper.errors import OutputError
 from incremental_mapper.mapping.mapper import Mapper
+from incremental_mapper.mapping.result import MapResult
 from incremental_mapper.measurements import Drops
-from incremental_mapper.results.offline_run import Run, complete_stats, map_points
-from incremental_mapper.results.run_files import write_result
-from incremental_mapper.results.summary import draw_pictures
+from incremental_mapper.results.offline_run import map_points
+from incremental_mapper.results.run_folder import draw_result, write_result
+from incremental_mapper.results.run_statistics import InputFacts, RunStatistics
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,12 +28,12 @@ class Saved:
 
 
 def save_map(
-    wanted: Path, mapper: Mapper, drops: Drops, wall: float, facts: dict[str, Any]
+    wanted: Path, mapper: Mapper, drops: Drops, wall: float, facts: InputFacts
 ) -> Saved:
     """Write the files of ``map`` into ``wanted``, or into ``wanted_2`` and so on where it exists.
 
     ``drops`` is what was lost before the mapper, ``wall`` the seconds since the first
-    measurement, ``facts`` more keys of stats.json. Raises OutputError where there is nothing to
+    measurement, ``facts`` what stats.json says of the input. Raises OutputError where there is nothing to
     save or the folder cannot be written.
     """
     result = mapper.result()
@@ -44,11 +47,9 @@ def save_map(
         scratch = Path(tempfile.mkdtemp(prefix=f'.{target.name}.', dir=target.parent))
         # mkdtemp makes folders that only their owner can read.
         scratch.chmod(0o755)
-        stats = complete_stats(result, drops, wall)
-        stats |= {'interrupted': False, 'map_points': len(points), **facts}
-        run = Run(result, points, None, stats, False)
-        write_result(scratch, result, points, stats)
-        note = _draw(scratch, run)
+        statistics = RunStatistics.of_run(result, drops, wall, len(points), facts)
+        write_result(scratch, result, points, statistics.to_tree())
+        note = _draw(scratch, result, points)
         place = _free_name(target)
         scratch.rename(place)
         scratch = None
@@ -60,10 +61,10 @@ def save_map(
             shutil.rmtree(scratch, ignore_errors=True)
 
 
-def _draw(folder: Path, run: Run) -> str | None:
+def _draw(folder: Path, result: MapResult, points: NDArray[np.float32]) -> str | None:
     """Draw the pictures; returns a remark where they cannot be drawn."""
     try:
-        return draw_pictures(folder, run, None)
+        return draw_result(folder, result, points, None)
     # The drawing library may raise anything, and a map is worth saving without pictures.
     except Exception:
         return f'no pictures:\n{traceback.format_exc()}'

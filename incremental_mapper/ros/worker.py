@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 
 from incremental_mapper.config import Config
 from incremental_mapper.errors import MapperError
-from incremental_mapper.mapping.load_shedding import FULL, Effort
+from incremental_mapper.mapping.load_shedding import NO_SHEDDING, LoadShedding
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.mapping.result import NewestState, WindowResult
 from incremental_mapper.mapping.statistics import peak_rss_mb
 from incremental_mapper.measurements import Drops, Measurement
+from incremental_mapper.results.run_statistics import InputFacts
 from incremental_mapper.ros.inbox import Command, Deadline, Inbox, Order, View
 from incremental_mapper.ros.live_map import GraphView, LiveMap, PathView
 from incremental_mapper.ros.saving import save_map
@@ -189,26 +190,26 @@ class Worker:
     def _take_in(self, measurement: Measurement) -> None:
         passed = self.jumps.check(measurement)
         if passed.jumped:
-            self._flush(FULL)
+            self._flush(NO_SHEDDING)
             self._save_quietly()
             self._restart('stamps jumped backwards')
         for item in passed.measurements:
             if self._started is None:
                 self._started = time.perf_counter()
-            effort = self.inbox.effort()
-            for result in self._mapper.advance(item, effort):
-                self.limited_windows += effort.candidates is not None
+            shedding = self.inbox.shedding()
+            for result in self._mapper.advance(item, shedding):
+                self.limited_windows += shedding.candidates is not None
                 self._tell(result)
 
-    def _flush(self, effort: Effort) -> int:
+    def _flush(self, shedding: LoadShedding) -> int:
         results = 0
-        for result in self._mapper.drain(effort):
+        for result in self._mapper.drain(shedding):
             self._tell(result)
             results += 1
         return results
 
     def _finish(self) -> None:
-        self._flush(FULL)
+        self._flush(NO_SHEDDING)
         self._save_quietly()
 
     def _restart(self, reason: str) -> None:
@@ -218,7 +219,7 @@ class Worker:
 
     def _obey(self, command: Command) -> Reply:
         if command.order is Order.FLUSH:
-            count = self._flush(FULL)
+            count = self._flush(NO_SHEDDING)
             return Reply(command.ticket, True, f'{count} windows closed')
         if command.order is Order.RESET:
             self.jumps.restart()
@@ -250,8 +251,8 @@ class Worker:
 
     def _save(self, folder: Path) -> Path:
         counts = dict(self._mapper.stats()['received'])
-        source = {'path': 'ROS topics', 'kind': 'ROS topics', 'counts': counts, 'notes': []}
-        saved = save_map(folder, self._mapper, self.drops(), self._wall(), {'input': source})
+        facts = InputFacts('ROS topics', 'ROS topics', counts)
+        saved = save_map(folder, self._mapper, self.drops(), self._wall(), facts)
         if saved.note is not None:
             self._emit(Trouble(saved.note))
         return saved.folder

@@ -19,11 +19,11 @@ from incremental_mapper.scoring.eigen import full_matrices, smallest_eigen
 from incremental_mapper.scoring.moment_update import ROUNDING, largest_drifts, moved_covariances
 from incremental_mapper.scoring.moments import covariances, sum_products
 from incremental_mapper.scoring.neighbourhoods import (
+    BoundaryPairs,
     Grid,
-    Rim,
-    find_rim,
+    find_boundary_pairs,
     make_grid,
-    moments_of_parts,
+    scan_moments,
     shared_neighbourhoods,
 )
 from incremental_mapper.scoring.plane_families import orthogonal_families, spread_positions
@@ -34,7 +34,7 @@ BATCH = 32
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scene:
+class LocalMap:
     """What a window's candidates are judged on.
 
     ``fixed`` are points (F, 3) of recent scans, already placed in the map. ``moving`` are the
@@ -52,14 +52,14 @@ class Scene:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Judges:
+class QueryPoints:
     """Judging points of one window.
 
     ``points`` (P, 3) stand at the reference, relative to the origin; ``scan`` (P,), ascending, says
     whose they are: 0 the fixed points, then the moving scans. ``parts`` (P, 1 + S, 10) are the
     moments of each scan's part of a neighbourhood, at the reference and about the point. They hold
     under any candidate that drifts by no more than ``reach`` (P, 1 + S) metres, but for the
-    ``rim``; ``grid`` gives the rim for any other reach. ``weights`` (P,) of the judges make the
+    ``boundary``; ``grid`` gives the boundary for any other reach. ``weights`` (P,) of the query_points make the
     mean over families of the mean in each; ``families`` are those that count, and ``family`` (P,)
     is 0, 1 or 2.
     """
@@ -68,7 +68,7 @@ class Judges:
     scan: NDArray[np.int64]
     parts: NDArray[np.float64]
     reach: NDArray[np.float64]
-    rim: Rim
+    boundary: BoundaryPairs
     grid: Grid
     family: NDArray[np.int64]
     families: tuple[int, ...]
@@ -76,21 +76,21 @@ class Judges:
     score_name: str
 
 
-def choose_judges(scene: Scene, settings: MomSettings) -> Judges | None:
+def choose_query_points(local_map: LocalMap, settings: MomSettings) -> QueryPoints | None:
     """Find planar neighbourhoods that a new scan shares with another one, and their families.
 
     None where there is no such neighbourhood.
     """
-    bounds = np.cumsum([0, len(scene.fixed), *map(len, scene.moving)])
-    first, last = bounds[1].item(), bounds[scene.fresh + 1].item()
+    bounds = np.cumsum([0, len(local_map.fixed), *map(len, local_map.moving)])
+    first, last = bounds[1].item(), bounds[local_map.fresh + 1].item()
     # Half as many again as are wanted: not every seed turns out to be planar.
     seeds = first + spread_positions(last - first, settings.max_points * 3 // 2)
     if len(seeds) == 0:
         return None
-    points = _placed(scene, bounds)
+    points = _placed(local_map, bounds)
     queries, scan = points.take(seeds, axis=0), np.searchsorted(bounds, seeds, side='right') - 1
     grid = make_grid(points, bounds, settings.radius)
-    parts = moments_of_parts(grid, queries, settings.radius, len(bounds) - 1)
+    parts = scan_moments(grid, queries, settings.radius, len(bounds) - 1)
     # Alone, a scan has the same planes at any pose.
     chosen, spread = shared_neighbourhoods(parts, scan, settings.min_neighbours)
     found = smallest_eigen(spread)
@@ -103,14 +103,14 @@ def choose_judges(scene: Scene, settings: MomSettings) -> Judges | None:
     chosen, labels = chosen[planar[kept]], labels[kept]
     queries, scan = queries.take(chosen, axis=0), scan[chosen]
     # The reference itself does not drift.
-    motions = _motions(scene, scene.poses[1:])
-    reach, rim = _reach(motions, queries, scan, grid, settings)
-    return Judges(
+    motions = _motions(local_map, local_map.poses[1:])
+    reach, boundary = _reach(motions, queries, scan, grid, settings)
+    return QueryPoints(
         points=queries,
         scan=scan,
         parts=parts.take(chosen, axis=0),
         reach=reach,
-        rim=rim,
+        boundary=boundary,
         grid=grid,
         family=labels,
         families=counted,
@@ -125,11 +125,11 @@ def _reach(
     scan: NDArray[np.int64],
     grid: Grid,
     settings: MomSettings,
-) -> tuple[NDArray[np.float64], Rim]:
-    """Reach and rim of queries (P, 3) of the scans (P,) for candidates (C, 1 + S, 4, 4)."""
+) -> tuple[NDArray[np.float64], BoundaryPairs]:
+    """Reach and boundary of queries (P, 3) of the scans (P,) for candidates (C, 1 + S, 4, 4)."""
     # Candidates that drift further would make rims that cost more than to search again for them.
     reach = largest_drifts(motions, queries, scan, settings.radius)
-    return reach, find_rim(grid, queries, settings.radius, reach + ROUNDING)
+    return reach, find_boundary_pairs(grid, queries, settings.radius, reach + ROUNDING)
 
 
 def warm_up() -> None:
@@ -139,73 +139,84 @@ def warm_up() -> None:
     floor = np.stack([x, y, 0.01 * np.cos(9.0 * x)], axis=1)
     poses = np.tile(np.eye(4), (2, 2, 1, 1))
     poses[1, 0, 0, 3] = 0.1
-    scene = Scene(floor, [floor, floor], poses, 1, np.zeros(3))
-    judges = choose_judges(scene, MomSettings())
-    assert judges is not None  # the floor is flat
-    fast_scores(judges, poses, scene, MomSettings())
+    local_map = LocalMap(floor, [floor, floor], poses, 1, np.zeros(3))
+    query_points = choose_query_points(local_map, MomSettings())
+    assert query_points is not None  # the floor is flat
+    fast_scores(query_points, poses, local_map, MomSettings())
 
 
 def fast_scores(
-    judges: Judges,
+    query_points: QueryPoints,
     poses: NDArray[np.float64],
-    scene: Scene,
+    local_map: LocalMap,
     settings: MomSettings,
     exact: bool = True,
 ) -> NDArray[np.float64]:
     """MOM in m^2 (C,) of candidates with the moving scans at ``poses`` (C, S, 4, 4).
 
     The values are those of ``direct_score``. Candidates that drift by more than the radius are
-    indeed searched again, unless ``exact`` is off: then those beyond the judges' reach keep what
+    indeed searched again, unless ``exact`` is off: then those beyond the query_points' reach keep what
     neighbours they had there. A candidate with poses that are not finite has the score NaN.
     """
     scores = np.empty(len(poses))
     for start in range(0, len(poses), BATCH):
         some = poses[start : start + BATCH]
-        motions, finite = _motions(scene, some), np.isfinite(some).all(axis=(1, 2, 3))
-        values, near = _moved_scores(judges, motions, settings, exact)
+        motions, finite = _motions(local_map, some), np.isfinite(some).all(axis=(1, 2, 3))
+        values, near = _moved_scores(query_points, motions, settings, exact)
         far = np.flatnonzero(~near & finite & exact)
         if len(far):
-            # The same judges with a longer reach are ready sooner than any search.
-            reach, rim = _reach(motions[far], judges.points, judges.scan, judges.grid, settings)
-            longer = replace(judges, reach=reach, rim=rim)
+            # The same query_points with a longer reach are ready sooner than any search.
+            reach, boundary = _reach(
+                motions[far], query_points.points, query_points.scan, query_points.grid, settings
+            )
+            longer = replace(query_points, reach=reach, boundary=boundary)
             values[far], near = _moved_scores(longer, motions[far], settings)
             for further in far[~near]:
-                values[further] = direct_score(judges, some[further], scene, settings)
+                values[further] = direct_score(query_points, some[further], local_map, settings)
         scores[start : start + BATCH] = values
     return scores
 
 
 def _moved_scores(
-    judges: Judges, motions: NDArray[np.float64], settings: MomSettings, exact: bool = True
+    query_points: QueryPoints,
+    motions: NDArray[np.float64],
+    settings: MomSettings,
+    exact: bool = True,
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Scores (C,) of candidates (C, 1 + S, 4, 4), and which of them are within reach."""
     spread, near = moved_covariances(
         motions,
-        judges.points,
-        judges.scan,
-        judges.parts,
-        judges.rim,
-        judges.reach if exact else np.full_like(judges.reach, np.inf),
+        query_points.points,
+        query_points.scan,
+        query_points.parts,
+        query_points.boundary,
+        query_points.reach if exact else np.full_like(query_points.reach, np.inf),
         settings.radius,
     )
     variances = smallest_eigen(spread.reshape(6, -1)).values.reshape(len(motions), -1)
-    return variances @ judges.weights, near
+    return variances @ query_points.weights, near
 
 
 def fast_score(
-    judges: Judges, poses: NDArray[np.float64], scene: Scene, settings: MomSettings
+    query_points: QueryPoints,
+    poses: NDArray[np.float64],
+    local_map: LocalMap,
+    settings: MomSettings,
 ) -> float:
-    """MOM in m^2 of the moving scans at ``poses`` (S, 4, 4), from the judges' moments."""
-    return float(fast_scores(judges, poses[None], scene, settings)[0])
+    """MOM in m^2 of the moving scans at ``poses`` (S, 4, 4), from the query_points' moments."""
+    return float(fast_scores(query_points, poses[None], local_map, settings)[0])
 
 
 def direct_score(
-    judges: Judges, poses: NDArray[np.float64], scene: Scene, settings: MomSettings
+    query_points: QueryPoints,
+    poses: NDArray[np.float64],
+    local_map: LocalMap,
+    settings: MomSettings,
 ) -> float:
     """The same value with the neighbourhoods searched again at ``poses`` (S, 4, 4)."""
-    points = _place(scene, poses)
-    motions = _motions(scene, poses[None])[0][judges.scan]
-    queries = np.einsum('pij,pj->pi', motions[:, :3, :3], judges.points) + motions[:, :3, 3]
+    points = _place(local_map, poses)
+    motions = _motions(local_map, poses[None])[0][query_points.scan]
+    queries = np.einsum('pij,pj->pi', motions[:, :3, :3], query_points.points) + motions[:, :3, 3]
     # An unbalanced tree is built in half the time and is asked only once.
     tree = KDTree(points, leafsize=24, balanced_tree=False, compact_nodes=False)
     found = tree.query_ball_point(queries, settings.radius, return_sorted=False)
@@ -213,23 +224,23 @@ def direct_score(
     columns = np.concatenate([np.asarray(near, dtype=np.int64) for near in found])
     numbers = sum_products(rows, columns, points.T, len(found))
     variances = np.linalg.eigvalsh(full_matrices(covariances(numbers)))[:, 0]
-    return float(np.maximum(variances, 0.0) @ judges.weights)
+    return float(np.maximum(variances, 0.0) @ query_points.weights)
 
 
-def _place(scene: Scene, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+def _place(local_map: LocalMap, poses: NDArray[np.float64]) -> NDArray[np.float64]:
     """All points (N, 3) relative to the origin: the fixed ones, then those of the moving scans."""
     placed = [
-        cloud @ pose[:3, :3].T + (pose[:3, 3] - scene.origin)
-        for pose, cloud in zip(poses, scene.moving, strict=True)
+        cloud @ pose[:3, :3].T + (pose[:3, 3] - local_map.origin)
+        for pose, cloud in zip(poses, local_map.moving, strict=True)
     ]
-    return np.vstack([scene.fixed - scene.origin, *placed])
+    return np.vstack([local_map.fixed - local_map.origin, *placed])
 
 
-def _placed(scene: Scene, bounds: NDArray[np.int64]) -> NDArray[np.float64]:
+def _placed(local_map: LocalMap, bounds: NDArray[np.int64]) -> NDArray[np.float64]:
     """As ``_place`` at the reference; scan s has the points bounds[s] to bounds[s + 1]."""
     points = np.empty((bounds[-1], 3))
-    np.concatenate([scene.fixed, *scene.moving], out=points)
-    _move(points, bounds, scene.poses[0].copy(), scene.origin.copy())
+    np.concatenate([local_map.fixed, *local_map.moving], out=points)
+    _move(points, bounds, local_map.poses[0].copy(), local_map.origin.copy())
     return points
 
 
@@ -256,13 +267,13 @@ def _move(
             points[i, 2] = e * x + f * y + g * z + d
 
 
-def _motions(scene: Scene, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+def _motions(local_map: LocalMap, poses: NDArray[np.float64]) -> NDArray[np.float64]:
     """How candidates (C, S, 4, 4) move fixed and moving points, (C, 1 + S, 4, 4).
 
     From where they stand at the reference, relative to the origin.
     """
     # Copies, because an array that cannot be written to would be another type to compile for.
-    return _changes(poses.copy(), scene.poses[0].copy(), scene.origin.copy())
+    return _changes(poses.copy(), local_map.poses[0].copy(), local_map.origin.copy())
 
 
 @kernel
@@ -302,7 +313,7 @@ def _count_families(
 def _thin_families(
     labels: NDArray[np.int64], counted: tuple[int, ...], max_points: int
 ) -> NDArray[np.int64]:
-    """Positions of at most ``max_points`` judges, ascending, shared evenly between families."""
+    """Positions of at most ``max_points`` query_points, ascending, shared evenly between families."""
     share = max(max_points // len(counted), 1)
     picks = []
     for family in counted:

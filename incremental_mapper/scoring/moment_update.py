@@ -5,7 +5,7 @@ move them by D_s = (R_s, τ_s) and D_t. With p = q + u they are then R_s(u + f) 
 f = R_sᵀ(D_s − D_t) q is the drift: it is the same for all points of the scan. So the moments of
 its points about q are shifted by f and turned by R_tᵀR_s, which brings those of all scans into
 one frame. The distance of a pair changes by at most |f|: pairs whose distance is further from the
-radius than any candidate's drift stay in or out. The few others, the rim, are looked at again for
+radius than any candidate's drift stay in or out. The few others, the boundary, are looked at again for
 every candidate.
 """
 
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from incremental_mapper.compiled import kernel
-from incremental_mapper.scoring.neighbourhoods import Rim
+from incremental_mapper.scoring.neighbourhoods import BoundaryPairs
 
 ROUNDING = 1e-9
 """Metres that a distance may be off by rounding."""
@@ -41,14 +41,14 @@ def moved_covariances(
     queries: NDArray[np.float64],
     scan: NDArray[np.int64],
     parts: NDArray[np.float64],
-    rim: Rim,
+    boundary: BoundaryPairs,
     reach: NDArray[np.float64],
     radius: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Covariances (6, C, Q) of neighbourhoods, xx, xy, xz, yy, yz, zz, as candidates move them.
 
     ``motions`` (C, S, 4, 4) are the D_s; ``queries`` (Q, 3), ``scan`` (Q,), the moments ``parts``
-    (Q, S, 10) and the ``rim`` are those of the reference. Also tells which candidates (C,) drift by
+    (Q, S, 10) and the ``boundary`` are those of the reference. Also tells which candidates (C,) drift by
     no more than ``reach`` (Q, S); the covariances of the others are NaN.
     """
     return _moved(
@@ -56,9 +56,9 @@ def moved_covariances(
         queries,
         scan,
         parts,
-        rim.starts,
-        rim.apart,
-        rim.inside,
+        boundary.starts,
+        boundary.apart,
+        boundary.inside,
         np.square(reach + 0.1 * ROUNDING),
         radius,
     )

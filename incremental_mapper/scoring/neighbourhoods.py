@@ -39,8 +39,8 @@ class Grid:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Rim:
-    """Pairs of a query and a point near the rim of its ball, sorted by query and scan.
+class BoundaryPairs:
+    """Pairs of a query and a point near the boundary of its ball, sorted by query and scan.
 
     Query q and the points of scan s have the pairs ``starts[q, s]`` to ``starts[q, s + 1]``;
     ``starts`` is (Q, S + 1). ``apart`` (N, 3) is point minus query and ``inside`` (N,) whether it
@@ -66,7 +66,7 @@ def make_grid(points: NDArray[np.float64], bounds: NDArray[np.int64], width: flo
     return Grid(placed, scan, starts[:-1], (width, low, *masks))
 
 
-def moments_of_parts(
+def scan_moments(
     grid: Grid, queries: NDArray[np.float64], radius: float, scans: int
 ) -> NDArray[np.float64]:
     """Moments (Q, S, 10) of each scan's points within ``radius`` of ``queries`` (Q, 3).
@@ -88,14 +88,14 @@ def shared_neighbourhoods(
     return chosen[:kept], spread[:, :kept]
 
 
-def find_rim(
+def find_boundary_pairs(
     grid: Grid, queries: NDArray[np.float64], radius: float, reach: NDArray[np.float64]
-) -> Rim:
+) -> BoundaryPairs:
     """Pairs whose distance is within ``reach`` (Q, S) metres, one for each scan, of ``radius``."""
-    starts, apart, inside, count = _rim(
+    starts, apart, inside, count = _boundary(
         grid.points, grid.scan, grid.starts, grid.shape, queries, radius, reach
     )
-    return Rim(starts, apart[:count], inside[:count])
+    return BoundaryPairs(starts, apart[:count], inside[:count])
 
 
 def moments_around(
@@ -107,7 +107,7 @@ def moments_around(
     """
     points = np.ascontiguousarray(points, dtype=np.float64)
     grid = make_grid(points, np.array([0, len(points)]), radius)
-    parts = moments_of_parts(grid, np.ascontiguousarray(places, dtype=np.float64), radius, 1)
+    parts = scan_moments(grid, np.ascontiguousarray(places, dtype=np.float64), radius, 1)
     return np.ascontiguousarray(parts[:, 0].T)
 
 
@@ -193,7 +193,7 @@ def _moments(
     radius: float,
     scans: int,
 ) -> NDArray[np.float64]:
-    """See moments_of_parts."""
+    """See scan_moments."""
     near = np.empty(len(points) + 1, dtype=np.int32)
     sums = np.zeros((len(queries), scans, 10))
     for q in range(len(queries)):
@@ -243,7 +243,7 @@ def _shared(
 
 
 @kernel
-def _rim(
+def _boundary(
     points: NDArray[np.float64],
     scan: NDArray[np.int32],
     starts: NDArray[np.int32],
@@ -252,7 +252,7 @@ def _rim(
     radius: float,
     reach: NDArray[np.float64],
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_], int]:
-    """Starts, steps and insides of a Rim, and its size: what is behind it is void."""
+    """Starts, steps and insides of a BoundaryPairs, and its size: what is behind it is void."""
     count, scans = reach.shape
     near = np.empty(len(points) + 1, dtype=np.int32)
     bounds = np.zeros((count, scans + 1), dtype=np.int64)

@@ -12,9 +12,9 @@ from incremental_mapper.config import MomSettings, Strategy
 from incremental_mapper.errors import ConfigError
 from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.scoring.mom import (
-    Judges,
-    Scene,
-    choose_judges,
+    LocalMap,
+    QueryPoints,
+    choose_query_points,
     direct_score,
     fast_scores,
 )
@@ -25,7 +25,7 @@ class Proposal:
     """A connected candidate as a criterion sees it.
 
     ``solver_error`` is Σ‖h(x)−z‖²_Σ over the candidate's own factors; ``poses`` (S, 4, 4) are the
-    solved T_map_base of the scene's moving scans. Both are None where nothing was solved.
+    solved T_map_base of the local_map's moving scans. Both are None where nothing was solved.
     """
 
     candidate: Candidate
@@ -34,7 +34,7 @@ class Proposal:
 
 
 class Criterion(Protocol):
-    """Judges the candidates of one window; the lowest score wins."""
+    """QueryPoints the candidates of one window; the lowest score wins."""
 
     @property
     def name(self) -> str:
@@ -46,7 +46,7 @@ class Criterion(Protocol):
 
 @runtime_checkable
 class BatchCriterion(Criterion, Protocol):
-    """A criterion that judges many candidates for less than one by one."""
+    """A criterion that query_points many candidates for less than one by one."""
 
     def scores(self, proposals: Sequence[Proposal]) -> list[float]:
         """Scores of the candidates, in their order."""
@@ -63,14 +63,14 @@ def score_all(criterion: Criterion, proposals: Sequence[Proposal]) -> list[float
 class StrategyPlan:
     """How a strategy works: what it needs of each candidate, and its criterion.
 
-    ``solve`` asks for solved candidates and ``scene`` for a scene to judge them on;
+    ``solve`` asks for solved candidates and ``local_map`` for a local_map to judge them on;
     ``only_base`` takes the conventional candidate, connected or not. ``by_time_shift`` says that
     the criterion is the time shift, whose optimum is found without enumerating.
     """
 
-    make: Callable[[Scene | None, MomSettings, bool], Criterion]
+    make: Callable[[LocalMap | None, MomSettings, bool], Criterion]
     solve: bool = True
-    scene: bool = False
+    local_map: bool = False
     only_base: bool = False
     by_time_shift: bool = False
 
@@ -99,22 +99,22 @@ class SolverError:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mom:
-    """MOM of the local map, or the time shift where the scene has no plane at all.
+    """MOM of the local map, or the time shift where the local_map has no plane at all.
 
     ``direct`` searches the neighbourhoods of every candidate again. Without ``exact`` candidates
-    that the scene did not foresee keep the neighbourhoods of those that it did.
+    that the local_map did not foresee keep the neighbourhoods of those that it did.
     """
 
-    scene: Scene
+    local_map: LocalMap
     settings: MomSettings
-    judges: Judges | None
+    query_points: QueryPoints | None
     direct: bool = False
     exact: bool = True
 
     @property
     def name(self) -> str:
         """``mom_3`` (or ``_2``, ``_1`` families), ``plane_variance``, or ``time_shift``."""
-        return 'time_shift' if self.judges is None else self.judges.score_name
+        return 'time_shift' if self.query_points is None else self.query_points.score_name
 
     def score(self, proposal: Proposal) -> float:
         """See Criterion."""
@@ -123,22 +123,26 @@ class Mom:
     def scores(self, proposals: Sequence[Proposal]) -> list[float]:
         """See BatchCriterion."""
         poses = [proposal.poses for proposal in proposals if proposal.poses is not None]
-        if self.judges is None or len(poses) < len(proposals):
+        if self.query_points is None or len(poses) < len(proposals):
             return [TimeShift().score(proposal) for proposal in proposals]
         if not self.direct:
-            found = fast_scores(self.judges, np.array(poses), self.scene, self.settings, self.exact)
+            found = fast_scores(
+                self.query_points, np.array(poses), self.local_map, self.settings, self.exact
+            )
             return [float(score) for score in found]
-        return [direct_score(self.judges, pose, self.scene, self.settings) for pose in poses]
+        return [
+            direct_score(self.query_points, pose, self.local_map, self.settings) for pose in poses
+        ]
 
 
-def _make_mom(scene: Scene | None, settings: MomSettings, direct: bool) -> Criterion:
-    if scene is None:
+def _make_mom(local_map: LocalMap | None, settings: MomSettings, direct: bool) -> Criterion:
+    if local_map is None:
         return TimeShift()
-    return Mom(scene, settings, choose_judges(scene, settings), direct)
+    return Mom(local_map, settings, choose_query_points(local_map, settings), direct)
 
 
 _PLANS: dict[str, StrategyPlan] = {
-    Strategy.MOM: StrategyPlan(make=_make_mom, scene=True),
+    Strategy.MOM: StrategyPlan(make=_make_mom, local_map=True),
     Strategy.BASE: StrategyPlan(make=lambda *_: TimeShift(), solve=False, only_base=True),
     Strategy.MIN_TIME_SHIFT: StrategyPlan(
         make=lambda *_: TimeShift(), solve=False, by_time_shift=True

@@ -2,7 +2,7 @@
 
 A prefix is a candidate of the window's first elements, in time order. The best few prefixes of
 every length are extended by one more cluster, connected or not; G(t-1) and a prefix together are
-a belief over a handful of variables, so an extension costs the same wherever in the window it is
+a prior over a handful of variables, so an extension costs the same wherever in the window it is
 made. A prefix is judged by the same criterion as a candidate, with the scans that it has not
 placed yet where dead reckoning from its last cluster puts them.
 """
@@ -27,8 +27,8 @@ from incremental_mapper.scoring.strategies import (
     score_all,
 )
 from incremental_mapper.selection.window_problem import Task
-from incremental_mapper.smoothing.marginal_prior import Belief, shrink
-from incremental_mapper.smoothing.smoother import extend
+from incremental_mapper.smoothing.marginal_prior import MarginalPrior, marginalise
+from incremental_mapper.smoothing.smoother import smoother_update
 
 SHAKE = 0.04
 """Metres that scans are expected to move against each other between the prefixes of a window."""
@@ -49,7 +49,7 @@ class Prefix:
     position: int
     candidate: Candidate
     node: int | None
-    belief: Belief
+    prior: MarginalPrior
     cost: float
 
 
@@ -71,18 +71,18 @@ class _Search:
         self._task = task
         self._most = width
         self._seconds = seconds
-        self._scene = plan.scene
+        self._scene = plan.local_map
         self._initial = gtsam.Values()  # of every variable that any prefix has
         self._clusters: dict[tuple[int, int], Cluster | None] = {}
         self._continued = task.factors.continued_scans()
         self._criterion = self._make_criterion(plan, mom)
 
     def run(self) -> list[Candidate]:
-        task, count = self._task, len(self._task.parts)
+        task, count = self._task, len(self._task.elements)
         start = Candidate((), ())
         node = None if task.head is None else HEAD
         layers: list[list[Prefix]] = [[] for _ in range(count + 1)]
-        layers[0].append(Prefix(0, start, node, task.belief, 0.0))
+        layers[0].append(Prefix(0, start, node, task.prior, 0.0))
         began, extended = time.perf_counter(), 0
         for position in range(count):
             layer, layers[position] = layers[position], []
@@ -113,7 +113,7 @@ class _Search:
             return width
         spent = time.perf_counter() - began
         left = max(self._seconds - spent, 0.0)
-        layers = len(self._task.parts) - position
+        layers = len(self._task.elements) - position
         # One prefix has had so many extensions on average, each of them so long.
         branching = extended / max(position, 1) / width
         affordable = left / layers / (spent / extended) / max(branching, 1.0)
@@ -121,7 +121,7 @@ class _Search:
 
     def _extensions(self, prefix: Prefix) -> Iterator[Prefix]:
         """The prefix with one more cluster, in every way that may still come out connected."""
-        count = len(self._task.parts)
+        count = len(self._task.elements)
         for last in range(prefix.position, count):
             cluster = self._cluster(prefix.position, last)
             if cluster is None:
@@ -138,7 +138,7 @@ class _Search:
     def _goes_on(self, prefix: Prefix, position: int) -> bool:
         """Whether a cluster from ``position`` on can be connected to the prefix's node."""
         stamp = self._node_stamp(prefix)
-        later = (part[0].stamp for part in self._task.parts[position:])
+        later = (part[0].stamp for part in self._task.elements[position:])
         return stamp is not None and any(
             self._task.imu.first_sample(stamp, other) is not None for other in later
         )
@@ -178,16 +178,16 @@ class _Search:
         fresh = gtsam.Values()
         own = {pose_key(factors.local_id(cluster))}
         for key in own.union(*(factor.keys() for factor in made)):
-            if not prefix.belief.base.exists(key):
+            if not prefix.prior.base.exists(key):
                 copy_value(self._initial, key, fresh)
         local = factors.local_id(cluster)
-        grown, cost = extend(
-            prefix.belief, made, fresh, {local: cluster.stamp}, self._task.max_iterations
+        grown, cost = smoother_update(
+            prefix.prior, made, fresh, {local: cluster.stamp}, self._task.max_iterations
         )
         if not grown.healthy:
             return
-        belief, _ = shrink(grown, self._needed(candidate, node), np.iinfo(np.int64).min)
-        yield Prefix(cluster.last + 1, candidate, node, belief, prefix.cost + cost)
+        prior, _ = marginalise(grown, self._needed(candidate, node), np.iinfo(np.int64).min)
+        yield Prefix(cluster.last + 1, candidate, node, prior, prefix.cost + cost)
 
     def _can_connect(self, candidate: Candidate, cluster: Cluster, node: int | None) -> bool:
         """Whether an unlinked cluster hangs, or may come to hang, on something else."""
@@ -229,19 +229,19 @@ class _Search:
 
     def _cluster(self, first: int, last: int) -> Cluster | None:
         if (first, last) not in self._clusters:
-            self._clusters[first, last] = make_cluster(self._task.parts, first, last)
+            self._clusters[first, last] = make_cluster(self._task.elements, first, last)
         return self._clusters[first, last]
 
     def _poses(self, prefix: Prefix) -> NDArray[np.float64]:
         """Poses of all moving scans, those of the rest of the window by dead reckoning."""
-        factors, values = self._task.factors, prefix.belief.values
+        factors, values = self._task.factors, prefix.prior.values
         clusters = list(prefix.candidate.clusters)
         correction = gtsam.Pose3()
         if clusters:
             last = clusters[-1]
             before = factors.predicted(last.stamp)
             correction = values.atPose3(pose_key(factors.local_id(last))).compose(before.inverse())
-        for index in range(prefix.position, len(self._task.parts)):
+        for index in range(prefix.position, len(self._task.elements)):
             single = self._cluster(index, index)
             assert single is not None
             pose = correction.compose(factors.predicted(single.stamp))
@@ -251,15 +251,15 @@ class _Search:
         def pose_of(key: int) -> gtsam.Pose3 | None:
             return values.atPose3(key) if values.exists(key) else None
 
-        return self._task.scenes.poses(Candidate(tuple(clusters), ()), pose_of)
+        return self._task.local_maps.poses(Candidate(tuple(clusters), ()), pose_of)
 
     def _make_criterion(self, plan: StrategyPlan, mom: MomSettings) -> Criterion:
-        if not plan.scene:
+        if not plan.local_map:
             return plan.make(None, mom, False)
-        poses = self._poses(Prefix(0, Candidate((), ()), None, self._task.belief, 0.0))
+        poses = self._poses(Prefix(0, Candidate((), ()), None, self._task.prior, 0.0))
         if len(poses) == 0:
             return plan.make(None, mom, False)
-        criterion = plan.make(self._task.scenes.scene([poses, *_shaken(poses)]), mom, False)
+        criterion = plan.make(self._task.local_maps.local_map([poses, *_shaken(poses)]), mom, False)
         # Nobody knows yet where the prefixes will put the scans; the finalists are judged exactly.
         return replace(criterion, exact=False) if isinstance(criterion, Mom) else criterion
 

@@ -8,7 +8,7 @@ from incremental_mapper.selection.window_problem import Task
 from incremental_mapper.smoothing.gauss_newton import SharedProblem, Solved
 
 
-class Contest:
+class CandidateSolver:
     """Solves candidates, one after the other.
 
     The first one starts from the predicted states; the others, where that one put the car.
@@ -16,7 +16,7 @@ class Contest:
 
     def __init__(self, task: Task) -> None:
         self._factors = task.factors
-        self._problem = SharedProblem(task.belief, task.max_iterations)
+        self._problem = SharedProblem(task.prior, task.max_iterations)
         self._states: Mapping[int, State] | None = None
 
     def solve(self, candidate: Candidate) -> Solved | None:
@@ -25,10 +25,10 @@ class Contest:
         made = [factor.factor for factor in self._factors.factors(candidate)]
         solved = self._problem.solve_next(made)
         if self._states is None and solved is not None:
-            self._states = self._factors.learned(candidate, solved.own())
+            self._states = self._factors.warm_start(candidate, solved.own())
         return solved
 
-    def settle(self, candidate: Candidate, solved: Solved) -> Solved | None:
+    def refine(self, candidate: Candidate, solved: Solved) -> Solved | None:
         """The candidate's solution with its true error, as it may be appended."""
         made = [factor.factor for factor in self._factors.factors(candidate)]
-        return self._problem.settle(solved, made)
+        return self._problem.refine(solved, made)

@@ -13,12 +13,12 @@ from incremental_mapper.geometry import transform_points
 from incremental_mapper.graph.factor_builder import WindowFactors, WindowInputs
 from incremental_mapper.graph.partition_graph import Partition
 from incremental_mapper.graph.values import cluster_of, pose_key
-from incremental_mapper.scoring.mom import Scene
+from incremental_mapper.scoring.mom import LocalMap
 from incremental_mapper.smoothing.graph_state import GraphState, PlacedScan
 from incremental_mapper.voxels import thin
 
 
-class SceneBuilder:
+class LocalMapBuilder:
     """Places a window's scans among the recent ones of G(t-1).
 
     Recent scans inside the lag move with the candidates: what a candidate says of the frontier
@@ -44,8 +44,8 @@ class SceneBuilder:
         self._placings: dict[Partition, tuple[list[int], NDArray[np.float64]]] = {}
         self._settled = [scan for scan in last if not state.in_lag(scan[0].cluster)]
 
-    def scene(self, poses: Sequence[NDArray[np.float64]]) -> Scene:
-        """The scene for candidates with these ``poses`` (S, 4, 4) of the moving scans.
+    def local_map(self, poses: Sequence[NDArray[np.float64]]) -> LocalMap:
+        """The local_map for candidates with these ``poses`` (S, 4, 4) of the moving scans.
 
         The first candidate is the reference.
         """
@@ -56,7 +56,7 @@ class SceneBuilder:
         ]
         moving = [item.sparse for item in self._new]
         moving += [points for _, points in self._touched]
-        return Scene(
+        return LocalMap(
             fixed=thin(np.vstack([np.zeros((0, 3)), *settled]), voxel),
             moving=moving,
             poses=np.array(poses),
@@ -67,7 +67,7 @@ class SceneBuilder:
     def poses(
         self, candidate: Candidate, pose_of: Callable[[int], gtsam.Pose3 | None]
     ) -> NDArray[np.float64]:
-        """Poses T_map_base (S, 4, 4) of the scene's moving scans under a candidate.
+        """Poses T_map_base (S, 4, 4) of the local_map's moving scans under a candidate.
 
         ``pose_of`` gives the solved poses by their keys, and those of the lag that move along;
         None where a pose is not among them.
@@ -83,7 +83,7 @@ class SceneBuilder:
         return moved
 
     def _placing(self, candidate: Candidate) -> tuple[list[int], NDArray[np.float64]]:
-        """Pose keys of the scene's moving scans, and T_cluster_scan (S, 4, 4) of each."""
+        """Pose keys of the local_map's moving scans, and T_cluster_scan (S, 4, 4) of each."""
         partition = self._factors.partition(candidate)
         known = self._placings.get(partition)
         if known is None:

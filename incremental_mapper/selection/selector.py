@@ -22,7 +22,7 @@ from incremental_mapper.scoring.strategies import (
     score_all,
 )
 from incremental_mapper.selection.beam_search import beam_search
-from incremental_mapper.selection.candidate_solver import Contest
+from incremental_mapper.selection.candidate_solver import CandidateSolver
 from incremental_mapper.selection.window_problem import Task
 from incremental_mapper.smoothing.gauss_newton import Solved
 
@@ -96,7 +96,7 @@ def choose(
     """
     clock = _Clock()
     if plan.only_base:
-        base = base_candidate(task.parts, task.head, task.imu)
+        base = base_candidate(task.elements, task.head, task.imu)
         loose = tuple(tuple(part) for part in task.factors.components(base))
         clock.lap('candidates')
         return Choice(
@@ -122,16 +122,16 @@ def choose(
         connected = sorted(connected, key=lambda item: item.time_shift)[:budget]
         cut = True
     clock.lap('candidates')
-    contest = Contest(task)
-    proposals = list(_propose(task, plan, contest, connected, clock))
+    solver = CandidateSolver(task)
+    proposals = list(_propose(task, plan, solver, connected, clock))
     # Without a scan, new or recent, there is nothing to judge a map by.
     poses = [item.poses for item, _ in proposals if item.poses is not None and len(item.poses)]
-    scene = task.scenes.scene(poses) if poses else None
-    criterion = plan.make(scene, mom, selection.direct)
+    local_map = task.local_maps.local_map(poses) if poses else None
+    criterion = plan.make(local_map, mom, selection.direct)
     scores = score_all(criterion, [proposal for proposal, _ in proposals])
     clock.lap('score')
     if cut and plan.solve and budget is None:
-        refined = _refined(task, plan, contest, criterion, proposals, scores, selection, clock)
+        refined = _refined(task, plan, solver, criterion, proposals, scores, selection, clock)
         enumerated += refined
         reachable |= set(map(id, refined))
         found += len(refined)
@@ -147,7 +147,7 @@ def choose(
         for item in enumerated
     )
     best = _best(scores, [proposal.candidate for proposal, _ in proposals])
-    winner, solution = (None, None) if best is None else _settled(contest, *proposals[best])
+    winner, solution = (None, None) if best is None else _settled(solver, *proposals[best])
     clock.lap('solve')
     return Choice(
         winner=winner,
@@ -173,9 +173,9 @@ def _pool(
     budget: int | None,
 ) -> tuple[list[Candidate], bool]:
     """The candidates to choose from, and whether there may be better ones."""
-    bound = upper_bound(len(task.parts), task.head is not None)
+    bound = upper_bound(len(task.elements), task.head is not None)
     if bound <= selection.max_candidates:
-        return list(candidates(task.parts, task.head, task.imu)), False
+        return list(candidates(task.elements, task.head, task.imu)), False
     if plan.by_time_shift:
         least = _least_shifted(task)
         return least, not least or bool(task.factors.components(least[-1]))
@@ -184,11 +184,11 @@ def _pool(
         width = min(selection.beam_width, budget or selection.beam_width)
         # The conventional graph takes part as well, first as in an enumeration: what is found is
         # never worse than it, and the map is judged at the same points.
-        base = base_candidate(task.parts, task.head, task.imu)
+        base = base_candidate(task.elements, task.head, task.imu)
         searched = beam_search(task, plan, mom, width, selection.time_budget)
         found = [base, *(item for item in searched if item != base)]
     if not any(not task.factors.components(item) for item in found):
-        found += islice(by_time_shift(task.parts, task.head, task.imu), selection.max_candidates)
+        found += islice(by_time_shift(task.elements, task.head, task.imu), selection.max_candidates)
     return found, True
 
 
@@ -200,7 +200,7 @@ def _least_shifted(task: Task) -> list[Candidate]:
     for may_merge in (False, True)[int(task.may_merge) :]:
         looked: list[Candidate] = []
         winners: list[Candidate] = []
-        search = by_time_shift(task.parts, task.head, task.imu, may_merge)
+        search = by_time_shift(task.elements, task.head, task.imu, may_merge)
         for candidate in islice(search, LOOKED_AT):
             if winners and candidate.time_shift > winners[0].time_shift:
                 break
@@ -226,7 +226,7 @@ def _simplicity(candidate: Candidate) -> tuple[Any, ...]:
 def _refined(
     task: Task,
     plan: StrategyPlan,
-    contest: Contest,
+    solver: CandidateSolver,
     criterion: Criterion,
     proposals: list[tuple[Proposal, Solved | None]],
     scores: list[float],
@@ -251,7 +251,7 @@ def _refined(
         expanded.add(best)
         before = min(scores)
         centre = proposals[best][0].candidate
-        around = dict.fromkeys(neighbours(centre, task.parts, task.head, task.imu))
+        around = dict.fromkeys(neighbours(centre, task.elements, task.head, task.imu))
         fresh = [
             item
             for item in around
@@ -264,7 +264,7 @@ def _refined(
             if time.perf_counter() >= until:
                 break
             some = fresh[start : start + AT_ONCE]
-            tried = list(_propose(task, plan, contest, some, clock))
+            tried = list(_propose(task, plan, solver, some, clock))
             proposals += tried
             scores += score_all(criterion, [proposal for proposal, _ in tried])
             clock.lap('score')
@@ -276,7 +276,7 @@ def _refined(
 def _propose(
     task: Task,
     plan: StrategyPlan,
-    contest: Contest,
+    solver: CandidateSolver,
     connected: list[Candidate],
     clock: '_Clock',
 ) -> Iterator[tuple[Proposal, Solved | None]]:
@@ -285,33 +285,37 @@ def _propose(
         if not plan.solve:
             yield Proposal(candidate), None
             continue
-        solved = contest.solve(candidate)
+        solved = solver.solve(candidate)
         if solved is None:
             continue
-        poses = task.scenes.poses(candidate, solved.pose) if plan.scene else None
+        poses = task.local_maps.poses(candidate, solved.pose) if plan.local_map else None
         clock.lap('solve')
         yield Proposal(candidate, solved.error, poses), solved
 
 
 def _settled(
-    contest: Contest, proposal: Proposal, solved: Solved | None
+    solver: CandidateSolver, proposal: Proposal, solved: Solved | None
 ) -> tuple[Candidate, Solved | None]:
     """The winner and its true solution."""
     if solved is not None:
-        solved = contest.settle(proposal.candidate, solved)
+        solved = solver.refine(proposal.candidate, solved)
     return proposal.candidate, solved
 
 
 def _verify(criterion: Mom, proposals: list[Proposal], clock: '_Clock') -> Verification | None:
     """Score every candidate by both evaluations."""
-    judges, scene, settings = criterion.judges, criterion.scene, criterion.settings
-    if judges is None:
+    query_points, local_map, settings = (
+        criterion.query_points,
+        criterion.local_map,
+        criterion.settings,
+    )
+    if query_points is None:
         return None
     poses = [proposal.poses for proposal in proposals if proposal.poses is not None]
     clock.lap('verify')
-    fast = fast_scores(judges, np.array(poses), scene, settings).tolist()
+    fast = fast_scores(query_points, np.array(poses), local_map, settings).tolist()
     fast_seconds = clock.lap('verify')
-    direct = [direct_score(judges, pose, scene, settings) for pose in poses]
+    direct = [direct_score(query_points, pose, local_map, settings) for pose in poses]
     direct_seconds = clock.lap('verify')
     pairs = list(zip(fast, direct, strict=True))
     pick = min(range(len(pairs)), key=lambda i: pairs[i][0])

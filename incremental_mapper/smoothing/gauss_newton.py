@@ -1,4 +1,4 @@
-"""Solving sets of factors on top of a belief: one by itself, or many that share most of it."""
+"""Solving sets of factors on top of a prior: one by itself, or many that share most of it."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ import numpy as np
 from incremental_mapper.graph.values import kind_of
 from incremental_mapper.smoothing.batch import make_graph
 from incremental_mapper.smoothing.linear_system import Prior, Rest, System
-from incremental_mapper.smoothing.marginal_prior import Belief
+from incremental_mapper.smoothing.marginal_prior import MarginalPrior
 from incremental_mapper.smoothing.tangent_layout import Array, Indices, Layout, layout_of
 
 AGREEMENT = 1e-4
@@ -30,13 +30,13 @@ are right to about a thousandth of 1 + error."""
 class Solved:
     """Optimised variables: ``step`` (n,) away from where they are in ``start``.
 
-    ``error`` is Σ‖h(x)−z‖²_Σ of the factors, ``cost`` the same with what the belief says against
-    the step. ``system`` is all of it, linear somewhere near. ``followers`` are the belief's.
+    ``error`` is Σ‖h(x)−z‖²_Σ of the factors, ``cost`` the same with what the prior says against
+    the step. ``system`` is all of it, linear somewhere near. ``eliminated`` are the prior's.
     ``graph`` holds the factors; where it is None, the errors are those of the linear system.
     """
 
-    belief: Belief
-    followers: Layout
+    prior: MarginalPrior
+    eliminated: Layout
     start: gtsam.Values
     step: Array
     error: float
@@ -52,20 +52,20 @@ class Solved:
 
     @property
     def values(self) -> gtsam.Values:
-        """All estimates, those of followers included."""
-        values, known, belief = self.own(), self.system.known, self.belief
-        moved = belief.ahead + belief.slopes @ self.system.total[:known]
-        followed = belief.base.extract(belief.followers)
-        values.insert(followed.retract(self.followers.vector_values(moved)))
+        """All estimates, those of eliminated included."""
+        values, known, prior = self.own(), self.system.known, self.prior
+        moved = prior.pending_delta + prior.gains @ self.system.total[:known]
+        followed = prior.base.extract(prior.eliminated)
+        values.insert(followed.retract(self.eliminated.vector_values(moved)))
         return values
 
     def pose(self, key: int) -> gtsam.Pose3 | None:
         """Estimate of one pose; None where it is neither solved for nor a follower."""
         if (place := self.system.layout.places.get(key)) is not None:
             return self.start.atPose3(key).retract(self.step[place])
-        if (place := self.followers.places.get(key)) is not None:
-            moved = self.belief.slopes[place] @ self.system.total[: self.system.known]
-            return self.belief.base.atPose3(key).retract(self.belief.ahead[place] + moved)
+        if (place := self.eliminated.places.get(key)) is not None:
+            moved = self.prior.gains[place] @ self.system.total[: self.system.known]
+            return self.prior.base.atPose3(key).retract(self.prior.pending_delta[place] + moved)
         return None
 
     def linear(self) -> System:
@@ -76,21 +76,21 @@ class Solved:
 
 
 class Problem:
-    """Solves sets of factors on top of a belief, each by itself.
+    """Solves sets of factors on top of a prior, each by itself.
 
-    ``initial`` holds the new variables. The belief's followers are moved along.
+    ``initial`` holds the new variables. The prior's eliminated are moved along.
     """
 
-    def __init__(self, belief: Belief, initial: gtsam.Values, max_iterations: int) -> None:
-        self._belief = belief
-        self._followers = layout_of(belief.followers)
-        self._known = layout_of(belief.keys)
+    def __init__(self, prior: MarginalPrior, initial: gtsam.Values, max_iterations: int) -> None:
+        self._marginal = prior
+        self._eliminated = layout_of(prior.eliminated)
+        self._known = layout_of(prior.keys)
         self._max_iterations = max_iterations
-        self._prior = Prior(belief.root)
-        # How far the frontier's ``values`` are from those of the belief.
+        self._prior = Prior(prior.root)
+        # How far the frontier's ``values`` are from those of the prior.
         self._total = np.zeros(self._known.size)
-        self._rhs = belief.rhs
-        self.values = gtsam.Values(belief.base)
+        self._rhs = prior.rhs
+        self.values = gtsam.Values(prior.base)
         self.values.insert(initial)
 
     def solve(
@@ -108,7 +108,7 @@ class Problem:
         system = self._system(layout, *_rows(layout, graph, values))
         return self._descend(graph, values, system)
 
-    def settle(self, solved: Solved, factors: Iterable[gtsam.NonlinearFactor]) -> Solved | None:
+    def refine(self, solved: Solved, factors: Iterable[gtsam.NonlinearFactor]) -> Solved | None:
         """Go on from the solution of the same factors until it has truly converged."""
         if solved.graph is not None:
             return solved
@@ -151,7 +151,7 @@ class Problem:
         return self._solved(start, last, error, system, graph)
 
     def _system(self, layout: Layout, rows: Array, rhs: Array) -> System:
-        """Belief and factors around ``values``."""
+        """MarginalPrior and factors around ``values``."""
         total = np.zeros(layout.size)
         total[: len(self._total)] = self._total
         rest = Rest(self._rhs, np.zeros(layout.size - len(self._total)), rhs)
@@ -166,8 +166,8 @@ class Problem:
         graph: gtsam.NonlinearFactorGraph | None,
     ) -> Solved:
         return Solved(
-            belief=self._belief,
-            followers=self._followers,
+            prior=self._marginal,
+            eliminated=self._eliminated,
             start=start,
             step=step,
             error=error,
@@ -178,7 +178,7 @@ class Problem:
 
 
 class SharedProblem(Problem):
-    """Sets of factors on top of one belief that have most of their factors in common.
+    """Sets of factors on top of one prior that have most of their factors in common.
 
     A window's candidates are such sets. The first one is solved by itself. The others are linear
     around its solution, where each factor is linearised once, whatever number of sets it is in.
@@ -186,13 +186,13 @@ class SharedProblem(Problem):
     ``values`` must hold all variables of a set before it is solved.
     """
 
-    def __init__(self, belief: Belief, max_iterations: int) -> None:
-        super().__init__(belief, gtsam.Values(), max_iterations)
+    def __init__(self, prior: MarginalPrior, max_iterations: int) -> None:
+        super().__init__(prior, gtsam.Values(), max_iterations)
         self._linear: dict[int, _Linear] = {}
         # Columns of the variables of all sets together.
         self._all = Layout(())
         self._columns: dict[int, Indices] = {}
-        self._add_columns(belief.keys)
+        self._add_columns(prior.keys)
         self._started = False
 
     def solve_next(self, factors: Sequence[gtsam.NonlinearFactor]) -> Solved | None:
@@ -212,7 +212,7 @@ class SharedProblem(Problem):
         error = there.error + sum(item.apart for item in linear)
         solved = self._solved(self.values, step, error, there, None)
         if any(self._reweighs(item, step, layout, error) for item in linear if item.robust):
-            return self.settle(solved, factors)
+            return self.refine(solved, factors)
         return solved
 
     def _reweighs(self, item: '_Linear', step: Array, layout: Layout, error: float) -> bool:
@@ -228,7 +228,7 @@ class SharedProblem(Problem):
         """Linearise the later sets around this solution."""
         self._started = True
         self._total = solved.system.total[: self._known.size].copy()
-        self._rhs = self._belief.rhs - self._belief.root @ self._total
+        self._rhs = self._marginal.rhs - self._marginal.root @ self._total
         self.values.update(solved.own())
 
     def _gathered(self, linear: Sequence['_Linear'], layout: Layout) -> tuple[Array, Array]:
@@ -319,13 +319,13 @@ def _is_near(step: Array, layout: Layout) -> bool:
 
 
 def linear_system(
-    belief: Belief, layout: Layout, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values
+    prior: MarginalPrior, layout: Layout, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values
 ) -> System:
-    """Belief and factors, linearised at ``values``."""
+    """MarginalPrior and factors, linearised at ``values``."""
     rows, rhs = _rows(layout, graph, values)
-    loose = np.zeros(layout.size - belief.root.shape[1])
+    loose = np.zeros(layout.size - prior.root.shape[1])
     total = np.zeros(layout.size)
-    return System(Prior(belief.root), layout, rows, Rest(belief.rhs, loose, rhs), total)
+    return System(Prior(prior.root), layout, rows, Rest(prior.rhs, loose, rhs), total)
 
 
 def _rows(

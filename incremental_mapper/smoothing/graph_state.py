@@ -16,7 +16,7 @@ from incremental_mapper.graph.factors import Factor
 from incremental_mapper.graph.frontier import Frontier
 from incremental_mapper.graph.values import bias_key, cluster_of, kind_of, pose_key, velocity_key
 from incremental_mapper.map.store import MemoryStore, PointStore, StoredPoints
-from incremental_mapper.smoothing.marginal_prior import Belief
+from incremental_mapper.smoothing.marginal_prior import MarginalPrior
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,7 +67,7 @@ def _recent_scans() -> deque[tuple[PlacedScan, NDArray[np.float64]]]:
 class GraphState:
     """All that the mapper remembers.
 
-    ``store`` keeps the points of the scans. ``belief`` is the newest part, ``values`` what has
+    ``store`` keeps the points of the scans. ``prior`` is the newest part, ``values`` what has
     left it; ``recent`` are the newest scans with their points (M, 3) for scoring.
     ``scan_offsets`` is T_cluster_scan of each LiDAR's last scan. ``last_velocity`` and
     ``last_bias`` are the newest ones; ``velocity_known`` says that the graph has pinned the
@@ -82,7 +82,7 @@ class GraphState:
     scans: list[PlacedScan] = field(default_factory=list)
     recent: deque[tuple[PlacedScan, NDArray[np.float64]]] = field(default_factory=_recent_scans)
     fixes: list[PlacedFix] = field(default_factory=list)
-    belief: Belief = field(default_factory=Belief)
+    prior: MarginalPrior = field(default_factory=MarginalPrior)
     values: gtsam.Values = field(default_factory=gtsam.Values)
     components: UnionFind[int] = field(default_factory=UnionFind)
     frontier: Frontier = field(default_factory=Frontier)
@@ -124,17 +124,17 @@ class GraphState:
 
     def in_lag(self, cluster: int) -> bool:
         """Whether a cluster's pose still changes."""
-        return cluster in self.belief.clusters
+        return cluster in self.prior.clusters
 
     def has_inertial(self, cluster: int) -> bool:
         """Whether a cluster has velocity and bias."""
         key = velocity_key(cluster)
-        return self.values.exists(key) or self.belief.base.exists(key)
+        return self.values.exists(key) or self.prior.base.exists(key)
 
     def all_values(self) -> gtsam.Values:
         """Newest estimate of every variable of G(t)."""
         values = gtsam.Values(self.values)
-        values.insert(self.belief.values)
+        values.insert(self.prior.values)
         return values
 
     def keep(self, gone: gtsam.Values) -> None:
@@ -143,4 +143,4 @@ class GraphState:
 
     def holder(self, key: int) -> gtsam.Values:
         """The values that hold a variable's newest estimate."""
-        return self.belief.holder(key) if self.belief.base.exists(key) else self.values
+        return self.prior.holder(key) if self.prior.base.exists(key) else self.values

@@ -1,4 +1,4 @@
-"""A belief and a set of factors as one linear least-squares problem."""
+"""A prior and a set of factors as one linear least-squares problem."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -11,7 +11,7 @@ from incremental_mapper.smoothing.tangent_layout import Array, Layout
 
 
 class Prior:
-    """The rows ``root`` (m, n) of a belief; their right-hand sides change with every step."""
+    """The rows ``root`` (m, n) of a prior; their right-hand sides change with every step."""
 
     def __init__(self, root: Array) -> None:
         self.root = root
@@ -36,7 +36,7 @@ class System:
     """Prior, loose hold on new variables and factors, and how far the variables moved.
 
     The prior's variables are the first ``known`` ones of the ``layout``. ``rows`` (r, n) are the
-    whitened factors. ``total`` (n,) is the step from the belief's values so far.
+    whitened factors. ``total`` (n,) is the step from the prior's values so far.
     """
 
     __slots__ = ('_prior', 'layout', 'rest', 'rows', 'total')

@@ -1,8 +1,8 @@
-"""What G(t) says of its newest part, kept small: a Gaussian over the frontier, and followers.
+"""What G(t) says of its newest part, kept small: a Gaussian over the frontier, and eliminated.
 
 The frontier are the variables that new factors may touch. Everything older is marginalised, once
 and for good, into a square-root information matrix over the frontier; the newest of those older
-variables, the followers, still move with it by their linear conditional p(follower | frontier).
+variables, the eliminated, still move with it by their linear conditional p(follower | frontier).
 All of it is relative to the newest estimates, so the cost of a window depends on nothing but the
 window.
 """
@@ -19,14 +19,14 @@ from incremental_mapper.smoothing.tangent_layout import Array, layout_of, solve_
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Belief:
-    """Frontier and followers, linear around ``values``.
+class MarginalPrior:
+    """Frontier and eliminated, linear around ``values``.
 
     ``keys`` are the frontier's variables; what G(t) says of a tangent step δ (n,) of them is
     ‖root · δ − rhs‖², with ``root`` (m, n) and ``rhs`` (m,). Where the last solve converged, the
-    newest estimates are the mean, and ``rhs`` is zero up to a constant. ``followers`` move by
-    ``slopes`` (f, n) · δ. ``base`` holds the frontier's newest estimates, and the followers before
-    they moved ``ahead`` (f,): there are many of them, and few are asked for. ``clusters`` are the
+    newest estimates are the mean, and ``rhs`` is zero up to a constant. ``eliminated`` move by
+    ``gains`` (f, n) · δ. ``base`` holds the frontier's newest estimates, and the eliminated before
+    they moved ``pending_delta`` (f,): there are many of them, and few are asked for. ``clusters`` are the
     cluster ids in it with their stamps (ns). ``healthy`` is False where the last window could not
     be solved and stays at its initial values.
     """
@@ -34,10 +34,10 @@ class Belief:
     keys: tuple[int, ...] = ()
     root: Array = field(default_factory=lambda: np.zeros((0, 0)))
     rhs: Array = field(default_factory=lambda: np.zeros(0))
-    followers: tuple[int, ...] = ()
-    slopes: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    eliminated: tuple[int, ...] = ()
+    gains: Array = field(default_factory=lambda: np.zeros((0, 0)))
     base: gtsam.Values = field(default_factory=gtsam.Values)
-    ahead: Array = field(default_factory=lambda: np.zeros(0))
+    pending_delta: Array = field(default_factory=lambda: np.zeros(0))
     clusters: Mapping[int, int] = field(default_factory=dict)
     healthy: bool = True
 
@@ -45,13 +45,13 @@ class Belief:
     def values(self) -> gtsam.Values:
         """The newest estimates of all variables."""
         values = gtsam.Values(self.base)
-        values.update(self._moved(self.followers, self.ahead))
+        values.update(self._moved(self.eliminated, self.pending_delta))
         return values
 
     def holder(self, key: int) -> gtsam.Values:
         """Values that have the newest estimate of one variable, and maybe others' that are not."""
-        place = layout_of(self.followers).places.get(key)
-        return self.base if place is None else self._moved((key,), self.ahead[place])
+        place = layout_of(self.eliminated).places.get(key)
+        return self.base if place is None else self._moved((key,), self.pending_delta[place])
 
     def _moved(self, keys: tuple[int, ...], step: Array) -> gtsam.Values:
         return self.base.extract(keys).retract(layout_of(keys).vector_values(step))
@@ -66,63 +66,65 @@ class Belief:
         return None if solution is None else solution[columns]
 
 
-def shrink(belief: Belief, keep: Collection[int], oldest: int) -> tuple[Belief, gtsam.Values]:
-    """Leave only the variables ``keep`` in the frontier; the others become followers.
+def marginalise(
+    prior: MarginalPrior, keep: Collection[int], oldest: int
+) -> tuple[MarginalPrior, gtsam.Values]:
+    """Leave only the variables ``keep`` in the frontier; the others become eliminated.
 
     Followers of clusters older than the stamp ``oldest`` (ns), of which nothing is kept, are let
-    go: their final values come back beside the smaller belief.
+    go: their final values come back beside the smaller prior.
     """
-    layout = layout_of(belief.keys)
-    kept = tuple(key for key in belief.keys if key in keep)
-    dropped = tuple(key for key in belief.keys if key not in keep)
+    layout = layout_of(prior.keys)
+    kept = tuple(key for key in prior.keys if key in keep)
+    dropped = tuple(key for key in prior.keys if key not in keep)
     wanted = {cluster_of(key) for key in kept}
     first, last = layout.columns(dropped), layout.columns(kept)
-    reduced, rest = triangle(belief.root[:, np.concatenate([first, last])], belief.rhs)
+    reduced, rest = triangle(prior.root[:, np.concatenate([first, last])], prior.rhs)
     count = len(first)
     # Where the last solve did not converge, the dropped ones still have a way to go: the last
     # column.
     solved = np.column_stack([-reduced[:count, count:], rest[:count]])
     if count:
         solved, _ = dtrtrs(reduced[:count, :count], solved)
-    moves = np.vstack([belief.slopes[:, first] @ solved, solved])
-    slopes, ahead = moves[:, :-1], moves[:, -1]
-    slopes[: len(belief.slopes)] += belief.slopes[:, last]
-    ahead[: len(belief.ahead)] += belief.ahead
-    followers = (*belief.followers, *dropped)
-    smaller = Belief(
+    moves = np.vstack([prior.gains[:, first] @ solved, solved])
+    gains, pending_delta = moves[:, :-1], moves[:, -1]
+    gains[: len(prior.gains)] += prior.gains[:, last]
+    pending_delta[: len(prior.pending_delta)] += prior.pending_delta
+    eliminated = (*prior.eliminated, *dropped)
+    smaller = MarginalPrior(
         keys=kept,
         root=reduced[count:, count:],
         rhs=rest[count:],
-        followers=followers,
-        slopes=slopes,
-        base=belief.base,
-        ahead=ahead,
-        clusters=belief.clusters,
-        healthy=belief.healthy,
+        eliminated=eliminated,
+        gains=gains,
+        base=prior.base,
+        pending_delta=pending_delta,
+        clusters=prior.clusters,
+        healthy=prior.healthy,
     )
     old = {
         cluster
-        for cluster, stamp in belief.clusters.items()
+        for cluster, stamp in prior.clusters.items()
         if stamp < oldest and cluster not in wanted
     }
     if not old:
         return smaller, gtsam.Values()
-    gone = trimmed(smaller, {key for key in followers if cluster_of(key) in old})
-    stays = trimmed(smaller, {key for key in followers if cluster_of(key) not in old})
-    left = {cluster: stamp for cluster, stamp in belief.clusters.items() if cluster not in old}
-    return replace(stays, clusters=left), gone.values.extract(gone.followers)
+    gone = trimmed(smaller, {key for key in eliminated if cluster_of(key) in old})
+    stays = trimmed(smaller, {key for key in eliminated if cluster_of(key) not in old})
+    left = {cluster: stamp for cluster, stamp in prior.clusters.items() if cluster not in old}
+    return replace(stays, clusters=left), gone.values.extract(gone.eliminated)
 
 
-def trimmed(belief: Belief, followers: Collection[int]) -> Belief:
-    """The belief with no other followers than these."""
-    kept = tuple(key for key in belief.followers if key in followers)
-    rows = layout_of(belief.followers).columns(kept)
+def trimmed(prior: MarginalPrior, eliminated: Collection[int]) -> MarginalPrior:
+    """The prior with no other eliminated than these."""
+    kept = tuple(key for key in prior.eliminated if key in eliminated)
+    rows = layout_of(prior.eliminated).columns(kept)
     return replace(
-        belief,
-        followers=kept,
-        slopes=belief.slopes[rows],
-        base=belief.base.extract([*belief.keys, *kept]),
-        ahead=belief.ahead[rows],
+        prior,
+        eliminated=kept,
+        gains=prior.gains[rows],
+        base=prior.base.extract([*prior.keys, *kept]),
+        pending_delta=prior.pending_delta[rows],
     )
 
 

@@ -1,4 +1,4 @@
-"""The paper's figure 2: the fix is loose in the base graph, and not with the method."""
+"""The paper's figure 2: the fix is unconnected in the base graph, and not with the method."""
 
 import importlib.util
 from pathlib import Path
@@ -21,18 +21,18 @@ def figure2():
 def test_base_leaves_the_fix_unconnected_and_the_method_does_not(figure2, tmp_path):
     told = figure2.draw(tmp_path / 'figure2.png')
     components, shown = told['base']
-    assert components >= 2 and shown.loose == 1
+    assert components >= 2 and shown.unconnected == 1
     components, shown = told['mom']
-    assert components == 1 and shown.loose == 0
+    assert components == 1 and shown.unconnected == 0
     assert (tmp_path / 'figure2.png').stat().st_size > 20_000
 
 
-def test_the_loose_variable_is_that_of_the_fix(figure2):
-    from incremental_mapper.visualization.graph_picture import loose_variables
+def test_the_unconnected_variable_is_that_of_the_fix(figure2):
+    from incremental_mapper.visualization.graph_view import unconnected_variables
 
     stats, graph = figure2.run('base')
-    loose = loose_variables(graph)
-    owners = {item['cluster'] for item in graph['variables'] if item['key'] in loose}
+    unconnected = unconnected_variables(graph)
+    owners = {item['cluster'] for item in graph['variables'] if item['key'] in unconnected}
     members = [item['members'] for item in graph['clusters'] if item['id'] in owners]
     assert [[m['sensor'] for m in cluster] for cluster in members] == [['gnss']]
     assert stats['components'] == 1 + len(owners)

@@ -20,7 +20,11 @@ from incremental_mapper.visualization.figure import (
     axes_pixels,
     svg_for_page,
 )
-from incremental_mapper.visualization.graph_picture import draw_graph, graph_figure, loose_variables
+from incremental_mapper.visualization.graph_picture import (
+    draw_graph,
+    graph_figure,
+    unconnected_variables,
+)
 from incremental_mapper.visualization.pictures import (
     WIDE,
     draw_map,
@@ -168,13 +172,13 @@ def test_an_empty_span_is_refused(tmp_path: Path) -> None:
         draw_graph(tmp_path / 'a.png', two_chains(), START, START)
 
 
-def test_variables_without_a_path_are_loose() -> None:
+def test_variables_without_a_path_are_unconnected() -> None:
     graph = two_chains()
-    assert loose_variables(graph) == set()
+    assert unconnected_variables(graph) == set()
 
     graph['factors'] = [item for item in graph['factors'] if 'x29' not in item['variables']]
 
-    assert loose_variables(graph) == {'x29'}
+    assert unconnected_variables(graph) == {'x29'}
 
 
 def test_a_folder_that_is_missing_is_named(tmp_path: Path) -> None:
@@ -233,7 +237,7 @@ def test_picture_of_a_page_has_no_colour_of_its_own() -> None:
     figure, shown = graph_figure(two_chains(), START, START + NANOSECONDS, Look(theme=PAGE))
     text = svg_for_page(figure, 'here', 'Graph "of" <two> chains')
 
-    assert shown.clusters == 21 and shown.loose == 0
+    assert shown.clusters == 21 and shown.unconnected == 0
     assert text.startswith('<svg') and text.endswith('</svg>')
     assert 'aria-label="Graph &quot;of&quot; &lt;two> chains"' in text
     assert '#01' not in text

@@ -1,0 +1,50 @@
+"""Points in base_link: within range, thinned, and with the motion undone."""
+
+import numpy as np
+import pytest
+from driven_room import EPOCH, room
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from incremental_mapper.frontend.preprocessing import Sweep, Twist, deskew, to_base
+from incremental_mapper.measurements import LidarScan
+
+component = st.floats(-30.0, 30.0)
+
+
+@settings(deadline=None)
+@given(
+    linear=st.tuples(component, component, component),
+    angular=st.one_of(
+        st.tuples(component, component, component),
+        st.tuples(*[st.floats(-1e-9, 1e-9)] * 3),
+    ),
+    moment=st.floats(-0.2, 0.2),
+    seed=st.integers(0, 1000),
+)
+def test_deskewing_is_the_rotation_and_the_translation_since_the_moment(
+    linear, angular, moment, seed
+):
+    rng = np.random.default_rng(seed)
+    rows, times = rng.uniform(-80.0, 80.0, (3, 40)), rng.uniform(-0.2, 0.2, 40)
+    twist = Twist(np.array(linear), np.array(angular))
+    found = deskew(Sweep(EPOCH, 'left', rows, times), twist, moment)
+    since = (times - moment)[:, None]
+    expected = Rotation.from_rotvec(since * twist.angular).apply(rows.T) + since * twist.linear
+    assert found == pytest.approx(expected, abs=1e-9)
+
+
+def test_deskewing_thinned_points_is_thinning_deskewed_ones_to_a_few_millimetres():
+    rng = np.random.default_rng(3)
+    # Neighbours of all times, as where a sweep's start meets its end, in a fast bend.
+    points, times = room(3000).astype(np.float32), rng.uniform(-0.1, 0.0, 3000).astype(np.float32)
+    twist = Twist(np.array([15.0, 0.0, 0.0]), np.array([0.0, 0.0, 0.5]))
+    raw = to_base(LidarScan(EPOCH, 'left', points, times), np.eye(4), 0.0, 80.0, 1e-3)
+    sweep = to_base(LidarScan(EPOCH, 'left', points, times), np.eye(4), 0.0, 80.0, 0.2)
+    exact = deskew(raw, twist, 0.0)
+    cells, own = np.floor(raw.rows.T / 0.2), np.floor(sweep.rows.T / 0.2)
+    for cell, point in zip(own, deskew(sweep, twist, 0.0), strict=True):
+        mates = exact[(cells == cell).all(axis=1)]
+        if len(mates):
+            assert np.linalg.norm(point - mates.mean(axis=0)) < 0.005
