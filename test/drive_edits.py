@@ -1,0 +1,41 @@
+"""Changes to the files of a KAIST folder, and what is left of it."""
+
+import numpy as np
+
+from incremental_mapper.datasets.truth import read_truth
+from incremental_mapper.trajectory import match_truth
+
+STATE, LATITUDE, LONGITUDE = 6, 1, 2
+
+
+def scans(folder, side='left'):
+    return sorted((folder / 'sensor_data' / f'VLP_{side}').glob('*.bin'))
+
+
+def table(folder, name):
+    return folder / 'sensor_data' / f'{name}.csv'
+
+
+def lines(path):
+    return path.read_text().splitlines()
+
+
+def rewrite(path, rows):
+    path.write_text('\n'.join(rows) + '\n')
+
+
+def stamps(path):
+    return [int(line.split(',')[0]) for line in lines(path)]
+
+
+def keep_stamps(folder, side, wanted):
+    """Leave only the scans of a side whose number in the drive is wanted."""
+    listing = table(folder, f'VLP_{side}_stamp')
+    rewrite(listing, [line for i, line in enumerate(lines(listing)) if wanted(i)])
+
+
+def worst_offset(run, folder):
+    """Largest horizontal distance to the truth, without any alignment but the first position."""
+    estimate, truth = match_truth(run.trajectory, read_truth(folder / 'global_pose.csv'))
+    shift = estimate.positions[:, :2] - truth.positions[:, :2]
+    return np.linalg.norm(shift - np.median(shift, axis=0), axis=1).max()
