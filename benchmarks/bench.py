@@ -70,13 +70,14 @@ def whole(folder: Path, tree: Tree) -> dict[str, Any]:
     }
     seconds = sum(row['solve_s'] + row['score_s'] + row['candidates_s'] for row in rows)
     keys = ('wall_s', 'drive_s', 'real_time_factor', 'peak_rss_mb', 'compression_vertices_percent')
+    stats = run.statistics.to_tree()
     return {
-        **{key: run.stats[key] for key in keys},
+        **{key: stats[key] for key in keys},
         'stages': stages,
         'windows': len(rows),
-        'candidates_per_second': run.stats['candidates_solved'] / seconds,
-        'growth': run.stats['window_last_tenth_s'] / run.stats['window_first_tenth_s'],
-        'rpe_m': run.stats.get('rpe_translation_rmse_m'),
+        'candidates_per_second': stats['candidates_solved'] / seconds,
+        'growth': stats['window_last_tenth_s'] / stats['window_first_tenth_s'],
+        'rpe_m': stats.get('rpe_translation_rmse_m'),
     }
 
 

@@ -18,7 +18,7 @@ import pymap3d
 from incremental_mapper.config import make_config
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.measurements import FixStatus, GnssFix, ImuSample, LidarScan, Measurement
-from incremental_mapper.results.run_files import graph_tree
+from incremental_mapper.results.graph_json import graph_tree
 from incremental_mapper.visualization.figure import Look, new_figure, save
 from incremental_mapper.visualization.graph_picture import Shown, add_graph_legend, paint_graph
 
@@ -117,7 +117,7 @@ def draw(path: Path) -> dict[str, tuple[int, Shown]]:
             if parts > 1
             else f'1 component: the fix shares a pose with the scan of {" and ".join(others)}'
         )
-        colour = look.theme.loose_edge if parts > 1 else look.theme.green
+        colour = look.theme.unconnected_edge if parts > 1 else look.theme.green
         figure.text(left, 0.93, strategy, fontsize=19, fontweight='bold', color=look.theme.ink)
         figure.text(left, 0.883, says, fontsize=14, color=colour)
         told[strategy] = (parts, shown)
@@ -130,5 +130,6 @@ def draw(path: Path) -> dict[str, tuple[int, Shown]]:
 if __name__ == '__main__':
     target = Path(sys.argv[1] if len(sys.argv) > 1 else 'figure2.png')
     for name, (parts, shown) in draw(target).items():
-        print(f'{name}: {parts} components, {shown.loose} of the variables shown not connected')
+        unconnected = f'{shown.unconnected} of the variables shown not connected'
+        print(f'{name}: {parts} components, {unconnected}')
     print(target)

@@ -110,7 +110,7 @@ def run_map(tmp_path, capsys):
         with pytest.MonkeyPatch.context() as patch, warnings.catch_warnings():
             warnings.simplefilter('error', RuntimeWarning)  # a user would see it on stderr
             if not pictures:
-                patch.setitem(sys.modules, _PICTURES, None)
+                patch.setitem(sys.modules, 'matplotlib', None)
             capsys.readouterr()
             status = main(['map', str(source), str(folder), *map(str, options)])
         printed = capsys.readouterr()
@@ -120,9 +120,6 @@ def run_map(tmp_path, capsys):
         return done
 
     return run
-
-
-_PICTURES = 'incremental_mapper.visualization.pictures'
 
 
 @pytest.fixture
@@ -223,7 +220,7 @@ def start_node(tmp_path, light_bag, monkeypatch):
     """
     from ros_helpers import NodeSession, bag_parameters
 
-    monkeypatch.setitem(sys.modules, _PICTURES, None)
+    monkeypatch.setitem(sys.modules, 'matplotlib', None)
     sessions = []
 
     def start(*trees):

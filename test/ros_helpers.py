@@ -32,8 +32,8 @@ from incremental_mapper.datasets.bags import SETTINGS_FILE
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.evaluation.graph_comparison import compare_graphs, read_graph
 from incremental_mapper.measurements import NANOSECONDS
-from incremental_mapper.results.offline_run import effective_config, map_source
 from incremental_mapper.results.graph_json import graph_tree
+from incremental_mapper.results.offline_run import effective_config, map_source
 from incremental_mapper.ros.node import MapperNode
 from incremental_mapper.ros.programs import free_domain
 from incremental_mapper.ros.result_messages import read_status

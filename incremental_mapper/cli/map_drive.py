@@ -9,9 +9,8 @@ from tqdm import tqdm
 
 from incremental_mapper.cli import exit_status
 from incremental_mapper.config import Tree, merge, read_yaml
-from incremental_mapper.results.offline_run import Stop
-from incremental_mapper.results.run_files import prepare_folder
-from incremental_mapper.results.run_folder import map_into, open_drive
+from incremental_mapper.results.offline_run import Stop, map_into, open_drive
+from incremental_mapper.results.run_folder import prepare_folder
 from incremental_mapper.results.summary import summary
 from incremental_mapper.scoring.strategies import strategy_names
 
@@ -75,5 +74,5 @@ def run(args: argparse.Namespace) -> int:
         done, remarks = map_into(args.out_dir, drive, bar.update, stop)
     for remark in remarks:
         print(f'note: {remark}', file=sys.stderr)
-    print(summary(done.stats))
-    return exit_status.INTERRUPTED if done.interrupted else 0
+    print(summary(done.statistics.to_tree()))
+    return exit_status.INTERRUPTED if done.statistics.interrupted else 0

@@ -17,8 +17,8 @@ from typing import Any
 
 import incremental_mapper
 from incremental_mapper.datasets.truth import TRUTH_FILES
-from incremental_mapper.results.offline_run import versions
-from incremental_mapper.results.run_files import FILES
+from incremental_mapper.results.run_folder import FILES
+from incremental_mapper.results.run_statistics import versions
 
 MARK = 'finished.json'
 TRUTH_FILE = 'truth.tum'

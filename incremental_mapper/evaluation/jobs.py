@@ -10,8 +10,8 @@ from incremental_mapper.config import Tree, merge
 from incremental_mapper.errors import MapperError, OutputError
 from incremental_mapper.evaluation import cache
 from incremental_mapper.evaluation.workers import stop_of_this_process
-from incremental_mapper.results.run_files import prepare_folder
-from incremental_mapper.results.run_folder import map_into, open_drive
+from incremental_mapper.results.offline_run import map_into, open_drive
+from incremental_mapper.results.run_folder import prepare_folder
 from incremental_mapper.trajectory import Trajectory, write_tum
 
 FAILURE_FILE = 'failure.txt'
@@ -125,7 +125,7 @@ def _run(job: Job) -> Outcome:
         (job.folder / FAILURE_FILE).unlink(missing_ok=True)
         drive = open_drive(job.input, job.tree, job.where, job.truth)
         run, _ = map_into(job.folder, drive, stop=stop_of_this_process())
-        if run.interrupted:
+        if run.statistics.interrupted:
             return Outcome(job, Status.INTERRUPTED)
         _write_truth(job.folder.parent / cache.TRUTH_FILE, job.strategy, drive.truth)
         made_of = {'input': str(job.input), 'settings': job.tree, 'program': job.program}

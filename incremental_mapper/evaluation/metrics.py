@@ -6,7 +6,7 @@ They have the names of ``stats.json``, and are None where a run has no such numb
 from collections.abc import Mapping
 from typing import TypeAlias
 
-from incremental_mapper.results.finished_run import FinishedRun
+from incremental_mapper.results.run_folder import FinishedRun
 
 Metrics: TypeAlias = dict[str, float | int | None]
 

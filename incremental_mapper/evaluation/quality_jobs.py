@@ -7,7 +7,7 @@ from pathlib import Path
 from incremental_mapper.config import MomSettings
 from incremental_mapper.evaluation import cache, map_quality
 from incremental_mapper.evaluation.map_quality import MapQuality, compare_maps, read_map
-from incremental_mapper.results.finished_run import FinishedRun
+from incremental_mapper.results.run_folder import FinishedRun
 
 QUALITY_FILE = 'map_quality.json'
 

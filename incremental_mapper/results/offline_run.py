@@ -1,43 +1,51 @@
-"""Mapping a whole input offline: the same mapper as online, as fast as it goes."""
+"""Mapping a whole input offline: the same mapper as online, as fast as it goes.
+
+``open_drive`` and ``map_into`` are what ``map`` does once and ``evaluate`` many times.
+"""
 
 import signal
-import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager
-from dataclasses import asdict, dataclass
-from importlib import metadata
+from dataclasses import dataclass
+from pathlib import Path
 from types import FrameType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from incremental_mapper import __version__
-from incremental_mapper.config import Config, make_config, merge
+from incremental_mapper.config import Config, Tree, make_config, merge
+from incremental_mapper.datasets.open import open_source, read_truth
 from incremental_mapper.datasets.source import Source
 from incremental_mapper.errors import InputError
 from incremental_mapper.map.cloud import accumulate
-from incremental_mapper.mapping.load_shedding import AHEAD
+from incremental_mapper.mapping.load_shedding import READ_AHEAD
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.mapping.result import MapResult, WindowResult
-from incremental_mapper.mapping.statistics import peak_rss_mb
-from incremental_mapper.measurements import Drops
-from incremental_mapper.results.trajectory_errors import TrajectoryErrors, trajectory_errors
+from incremental_mapper.results.candidate_table import FILE_NAME, MISSING, candidate_recorder
+from incremental_mapper.results.run_folder import draw_result, write_result
+from incremental_mapper.results.run_statistics import InputFacts, RunStatistics
+from incremental_mapper.results.trajectory_errors import trajectory_errors
 from incremental_mapper.trajectory import Trajectory
 
-LIBRARIES = ('gtsam', 'kiss-icp', 'small_gicp', 'rosbags', 'numpy', 'scipy', 'pymap3d')
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drive:
+    """An opened input, its effective settings and its truth, if there is one."""
+
+    source: Source
+    config: Config
+    truth: Trajectory | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Run:
-    """A mapped input: the result, the map's points (N, 3), and all keys of stats.json."""
+    """A mapped input: the result, the map's points (N, 3) in metres, and its statistics."""
 
     result: MapResult
     points: NDArray[np.float32]
-    errors: TrajectoryErrors | None
-    stats: dict[str, Any]
-    interrupted: bool
+    statistics: RunStatistics
 
 
 class Stop:
@@ -65,9 +73,68 @@ class Stop:
         self.wanted = True
 
 
-def settle_config(source: Source, tree: Mapping[str, Any], where: str) -> Config:
-    """The settings of a run: the user's laid over those that the input brings itself."""
+def open_drive(path: Path, tree: Tree, where: str, truth: Path | None = None) -> Drive:
+    """Open an input with the user's settings.
+
+    Args:
+        path: KAIST folder, bag, or folder of scans.
+        tree: The user's settings; they are laid over those that the input brings itself.
+        where: Where the settings come from, for messages.
+        truth: A file of true poses that replaces the truth in the input.
+
+    Raises:
+        MapperError: The input, the settings or the truth cannot be used.
+    """
+    make_config(tree, where)  # settings that are wrong by themselves are told before any reading
+    source = open_source(path, tree)
+    config = effective_config(source, tree, where)
+    return Drive(source, config, source.truth() if truth is None else read_truth(truth))
+
+
+def effective_config(source: Source, tree: Mapping[str, Any], where: str) -> Config:
+    """The settings of a run: the user's laid over those that the input brings itself.
+
+    Args:
+        source: An opened input.
+        tree: The user's settings.
+        where: Where they come from, for messages.
+
+    Raises:
+        ConfigError: A setting is unknown or has a value that it cannot have.
+    """
     return make_config(merge(source.info.settings, tree), where)
+
+
+def map_into(
+    folder: Path,
+    drive: Drive,
+    progress: Callable[[int], Any] | None = None,
+    stop: Stop | None = None,
+) -> tuple[Run, list[str]]:
+    """Map a drive and write all its files, pictures included.
+
+    Args:
+        folder: An existing folder to write into.
+        drive: What ``open_drive`` gave.
+        progress: See ``map_source``.
+        stop: See ``map_source``.
+
+    Returns:
+        The run, and remarks on files that could not be made, one line each.
+
+    Raises:
+        InputError: Nothing of the input could be used.
+        OutputError: A file cannot be written.
+        KeyboardInterrupt: It was stopped before anything was mapped.
+    """
+    remarks = []
+    with candidate_recorder(folder / FILE_NAME) as record:
+        if record is None:
+            remarks.append(MISSING)
+        run = map_source(drive.source, drive.config, drive.truth, progress, stop, record)
+    write_result(folder, run.result, run.points, run.statistics.to_tree())
+    undrawn = draw_result(folder, run.result, run.points, drive.truth)
+    return run, remarks if undrawn is None else [*remarks, undrawn]
 
 
 def map_source(
@@ -80,9 +147,17 @@ def map_source(
 ) -> Run:
     """Map an input from end to end.
 
-    ``progress`` is called with the number of measurements read since the last call; ``stop``
-    ends the run early, keeping what was mapped; ``observe`` is called with each window. Raises
-    InputError where nothing could be used.
+    Args:
+        source: An opened input; it is read once.
+        config: The effective settings.
+        truth: True poses that the estimate is compared with.
+        progress: Called with the number of measurements read since its last call.
+        stop: Ends the run early where it is wanted; what was mapped until then is kept.
+        observe: Called with each window.
+
+    Raises:
+        InputError: Nothing of the input could be used.
+        KeyboardInterrupt: It was stopped before anything was mapped.
     """
 
     def tell(windows: Iterable[WindowResult]) -> None:
@@ -95,7 +170,7 @@ def map_source(
     interrupted = False
     with closing(mapper):
         for measurement in source.measurements():
-            tell(mapper.advance(measurement, AHEAD))
+            tell(mapper.advance(measurement, READ_AHEAD))
             if progress is not None:
                 progress(1)
             if stop is not None and stop.wanted:
@@ -103,78 +178,40 @@ def map_source(
                 break
         tell(mapper.flush())
         result = mapper.result()
-    if not result.clusters and interrupted:
-        raise KeyboardInterrupt
     if not result.clusters:
-        reasons = ', '.join(
-            f'{count} of {sensor} ({reason})'
-            for (sensor, reason), count in sorted(source.drops.items())
-        )
-        raise InputError(
-            f'{source.info.path}: no scan and no fix could be used'
-            + (f'; left out: {reasons}' if reasons else '; is it the right input?')
-        )
+        if interrupted:
+            raise KeyboardInterrupt
+        raise _nothing_used(source)
     points = map_points(result, config)
     errors = None if truth is None else trajectory_errors(result.trajectory, truth)
-    stats = complete_stats(result, source.drops, time.perf_counter() - started)
-    stats.update(
-        {
-            'interrupted': interrupted,
-            'map_points': len(points),
-            **({} if errors is None else asdict(errors)),
-            'input': {
-                'path': str(source.info.path),
-                'kind': source.info.kind,
-                'counts': source.info.counts,
-                'notes': list(source.info.notes),
-            },
-        }
+    info = source.info
+    statistics = RunStatistics.of_run(
+        result,
+        source.drops,
+        time.perf_counter() - started,
+        len(points),
+        InputFacts(str(info.path), info.kind, info.counts, info.notes),
+        errors,
+        interrupted,
     )
-    return Run(result, points, errors, stats, interrupted)
-
-
-def complete_stats(result: MapResult, drops: Drops, wall: float) -> dict[str, Any]:
-    """The keys of stats.json that every run has.
-
-    ``drops`` is what was lost before it reached the mapper, ``wall`` the seconds that passed.
-    """
-    stats = dict(result.stats)
-    dropped = {sensor: dict(reasons) for sensor, reasons in stats['dropped'].items()}
-    for (sensor, reason), count in drops.items():
-        reasons = dropped.setdefault(sensor, {})
-        reasons[reason] = reasons.get(reason, 0) + count
-    return stats | {
-        'dropped': dropped,
-        'wall_s': wall,
-        'real_time_factor': stats['drive_s'] / wall,
-        'peak_rss_mb': peak_rss_mb(),
-        **_window_seconds(result),
-        'versions': versions(),
-    }
+    return Run(result, points, statistics)
 
 
 def map_points(result: MapResult, config: Config) -> NDArray[np.float32]:
-    """The map (N, 3) of a result, from the newest poses of its clusters."""
+    """The map of a result, from the newest poses of its clusters.
+
+    Returns:
+        Points (N, 3) in metres in the map frame, one a voxel of ``map.voxel_size``.
+    """
     return accumulate(result.placed_scans(), config.map.voxel_size, config.map.max_range)
 
 
-def versions() -> dict[str, str]:
-    """Versions of this package and of what its numbers depend on."""
-    found = {'incremental_mapper': __version__, 'python': sys.version.split()[0]}
-    for name in LIBRARIES:
-        found[name] = metadata.version(name)
-    return found
-
-
-def _window_seconds(result: MapResult) -> dict[str, float]:
-    """Seconds a window: median, worst, and the means of the first and the last tenth."""
-    seconds = np.array([row['window_s'] for row in result.rows if row['core']])
-    if len(seconds) == 0:
-        return {}
-    tenth = max(len(seconds) // 10, 1)
-    return {
-        'window_median_s': float(np.median(seconds)),
-        'window_p99_s': float(np.percentile(seconds, 99)),
-        'window_first_tenth_s': float(seconds[:tenth].mean()),
-        'window_last_tenth_s': float(seconds[-tenth:].mean()),
-    }
+def _nothing_used(source: Source) -> InputError:
+    reasons = ', '.join(
+        f'{count} of {sensor} ({reason})'
+        for (sensor, reason), count in sorted(source.drops.items())
+    )
+    return InputError(
+        f'{source.info.path}: no scan and no fix could be used'
+        + (f'; left out: {reasons}' if reasons else '; is it the right input?')
+    )

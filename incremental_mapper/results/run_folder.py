@@ -1,56 +1,254 @@
-"""Mapping one input into an output folder: what ``map`` does once and ``evaluate`` many times."""
+"""The folder of a run: the files that are in it, writing them, and reading them back.
 
-from collections.abc import Callable
+``trajectory.tum``, ``map.ply``, ``graph.g2o``, ``graph.json`` (see ``graph_json``),
+``windows.csv`` and ``stats.json`` (see ``run_statistics``) are always there; pictures and
+``candidates.parquet`` (see ``candidate_table``) where their libraries are installed.
+"""
+
+import csv
+import json
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from decimal import Decimal, InvalidOperation
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
-from incremental_mapper.config import Config, Tree, make_config
-from incremental_mapper.datasets.open import open_source, read_truth
-from incremental_mapper.datasets.source import Source
-from incremental_mapper.results.candidate_table import FILE_NAME, MISSING, candidate_recorder
-from incremental_mapper.results.offline_run import Run, Stop, map_source, settle_config
-from incremental_mapper.results.run_files import write_result
-from incremental_mapper.results.summary import draw_pictures
-from incremental_mapper.trajectory import Trajectory
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from incremental_mapper.errors import ConfigError, InputError, OutputError
+from incremental_mapper.graph.values import cluster_of, pose_key
+from incremental_mapper.map.cloud import write_ply
+from incremental_mapper.mapping.result import MapResult
+from incremental_mapper.measurements import NANOSECONDS
+from incremental_mapper.results.candidate_table import FILE_NAME, read_window
+from incremental_mapper.results.graph_json import graph_tree
+from incremental_mapper.trajectory import Trajectory, read_tum, write_tum
+from incremental_mapper.visualization.graph_view import GRAPH_SECONDS, typical_stretch
+from incremental_mapper.visualization.run_pictures import draw_run
+
+Record: TypeAlias = Mapping[str, Any]
+
+TRAJECTORY, MAP, WINDOWS = 'trajectory.tum', 'map.ply', 'windows.csv'
+GRAPH, GRAPH_G2O, STATISTICS = 'graph.json', 'graph.g2o', 'stats.json'
+FILES = (TRAJECTORY, MAP, GRAPH_G2O, GRAPH, WINDOWS, STATISTICS)
+ABSOLUTE_SECONDS = Decimal(10) ** 8
+ABSOLUTE_NANOSECONDS = Decimal(10) ** 15
+"""Numbers from here on are stamps: the first three years of a clock are no time of a drive."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Drive:
-    """An opened input, its settled settings and its truth, if there is one."""
+def prepare_folder(folder: Path, force: bool) -> None:
+    """Make an output folder.
 
-    source: Source
-    config: Config
-    truth: Trajectory | None
-
-
-def open_drive(path: Path, tree: Tree, where: str, truth: Path | None = None) -> Drive:
-    """Open an input with the user's settings ``tree``, whose origin ``where`` errors name.
-
-    ``truth`` is a file that replaces the truth in the input. Raises MapperError where the input,
-    the settings or the truth cannot be used.
+    Raises:
+        OutputError: It holds something and ``force`` is not given, or it cannot be made.
     """
-    make_config(tree, where)  # settings that are wrong by themselves are told before any reading
-    source = open_source(path, tree)
-    config = settle_config(source, tree, where)
-    return Drive(source, config, source.truth() if truth is None else read_truth(truth))
+    try:
+        if folder.exists() and not folder.is_dir():
+            raise OutputError(f'{folder}: is a file, expected a folder for the output')
+        if folder.is_dir() and any(folder.iterdir()) and not force:
+            raise OutputError(f'{folder}: is not empty; name another folder or add --force')
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f'{folder}: cannot be made ({error.strerror})') from error
 
 
-def map_into(
-    folder: Path,
-    drive: Drive,
-    progress: Callable[[int], Any] | None = None,
-    stop: Stop | None = None,
-) -> tuple[Run, list[str]]:
-    """Map a drive and write all its files into an existing folder; returns remarks too.
+def write_result(
+    folder: Path, result: MapResult, points: NDArray[np.float32], stats: Mapping[str, Any]
+) -> None:
+    """Write all data files of a run; pictures are not among them.
 
-    ``progress`` and ``stop`` are those of ``map_source``.
+    Every file is written beside its name first and then renamed, so that an interrupted run
+    leaves no torn file.
+
+    Args:
+        folder: An existing folder.
+        result: What the mapper made.
+        points: The map (N, 3) in metres, in the map frame.
+        stats: The keys of ``stats.json``, see ``RunStatistics.to_tree``.
+
+    Raises:
+        OutputError: A file cannot be written.
     """
-    remarks = []
-    with candidate_recorder(folder / FILE_NAME) as record:
-        if record is None:
-            remarks.append(MISSING)
-        run = map_source(drive.source, drive.config, drive.truth, progress, stop, record)
-    write_result(folder, run.result, run.points, run.stats)
-    undrawn = draw_pictures(folder, run, drive.truth)
-    return run, remarks if undrawn is None else [*remarks, undrawn]
+    _write(folder / TRAJECTORY, lambda path: write_tum(path, result.trajectory))
+    _write(folder / MAP, lambda path: write_ply(path, points))
+    _write(folder / GRAPH_G2O, lambda path: _write_g2o(path, result))
+    graph = graph_tree(result.clusters, result.factors, result.values)
+    _write(folder / GRAPH, lambda path: _write_json(path, graph))
+    _write(folder / WINDOWS, lambda path: _write_rows(path, result.rows))
+    _write(folder / STATISTICS, lambda path: _write_json(path, stats, indent=2))
+
+
+def draw_result(
+    folder: Path, result: MapResult, points: NDArray[np.float32], truth: Trajectory | None
+) -> str | None:
+    """Write the pictures of a run; arguments as in ``write_result``, and the true trajectory.
+
+    Returns:
+        A remark where they cannot be drawn.
+
+    Raises:
+        OutputError: A file cannot be written.
+    """
+    graph = graph_tree(result.clusters, result.factors, result.values)
+    return draw_run(folder, result.trajectory, truth, result.fixes, points, graph)
+
+
+@dataclass(frozen=True)
+class FinishedRun:
+    """The folder of a run that has ended; its files are read when they are asked for.
+
+    Every attribute raises InputError where its file is missing or is not what ``map`` writes.
+    """
+
+    folder: Path
+
+    @cached_property
+    def stats(self) -> Record:
+        """The keys of stats.json."""
+        return self._json(STATISTICS, 'strategy')
+
+    @cached_property
+    def graph(self) -> Record:
+        """The layout of graph.json, see ``graph_json.graph_tree``."""
+        return self._json(GRAPH, 'clusters')
+
+    @cached_property
+    def windows(self) -> Sequence[Mapping[str, str]]:
+        """The rows of windows.csv."""
+        path = self._path(WINDOWS)
+        with path.open(encoding='utf-8', newline='') as file:
+            rows = list(csv.DictReader(file))
+        if rows and 'start_ns' not in rows[0]:
+            raise InputError(f'{path}: is no table of windows')
+        return rows
+
+    @cached_property
+    def trajectory(self) -> Trajectory:
+        """T_map_base at every cluster stamp."""
+        return read_tum(self._path(TRAJECTORY))
+
+    @cached_property
+    def points(self) -> NDArray[np.float64]:
+        """The map (N, 3) in metres."""
+        return _read_points(self._path(MAP))
+
+    @cached_property
+    def fixes(self) -> NDArray[np.float64]:
+        """Antenna positions (K, 3) that the graph holds, metres in the map."""
+        found = [item['position'] for item in self.graph['factors'] if item['kind'] == 'gnss']
+        return np.array(found, dtype=np.float64).reshape(-1, 3)
+
+    @cached_property
+    def first_stamp(self) -> int:
+        """Stamp of the first cluster in nanoseconds: second 0 of every picture."""
+        return int(min(item['stamp_ns'] for item in self.graph['clusters']))
+
+    @cached_property
+    def last_stamp(self) -> int:
+        """Stamp of the last cluster in nanoseconds."""
+        return int(max(item['stamp_ns'] for item in self.graph['clusters']))
+
+    def check(self) -> None:
+        """Raise InputError where the folder is no output of ``map``."""
+        self._path(STATISTICS)
+
+    def candidates(self, window: int) -> list[dict[str, Any]]:
+        """The rows of one window in candidates.parquet, see ``candidate_table.read_window``."""
+        return read_window(self._path(STATISTICS).with_name(FILE_NAME), window)
+
+    def stamp(self, text: str) -> int:
+        """The stamp in nanoseconds that a user's number means.
+
+        Args:
+            text: Seconds since the first cluster, or from 1e8 on a stamp in seconds, from 1e15
+                on in nanoseconds.
+
+        Raises:
+            ConfigError: It is no number.
+        """
+        try:
+            number = Decimal(text)
+            if number >= ABSOLUTE_NANOSECONDS:
+                return int(number)
+            stamp = round(number * NANOSECONDS)
+        except (InvalidOperation, ValueError, OverflowError) as error:
+            raise ConfigError(
+                f'{text!r} is no time; expected seconds since the first cluster, or a stamp'
+            ) from error
+        return stamp if number >= ABSOLUTE_SECONDS else self.first_stamp + stamp
+
+    def seconds(self, stamp: int) -> float:
+        """Seconds from the first cluster to a stamp (ns)."""
+        return (stamp - self.first_stamp) / NANOSECONDS
+
+    def stretch(self, seconds: float = GRAPH_SECONDS) -> tuple[int, int]:
+        """Start and end (ns) of a stretch worth drawing; see ``typical_stretch``."""
+        return typical_stretch(self.graph, seconds)
+
+    def _json(self, name: str, key: str) -> Record:
+        path = self._path(name)
+        try:
+            tree = json.loads(path.read_text(encoding='utf-8'))
+        except (OSError, ValueError) as error:
+            raise InputError(f'{path}: cannot be read ({error})') from error
+        if not isinstance(tree, dict) or key not in tree:
+            raise InputError(f'{path}: is not what "incremental_mapper map" writes')
+        return tree
+
+    def _path(self, name: str) -> Path:
+        path = self.folder / name
+        if not path.is_file():
+            what = 'no such folder' if not self.folder.is_dir() else f'{name} is missing'
+            raise InputError(f'{self.folder}: is no output of "incremental_mapper map" ({what})')
+        return path
+
+
+def _write_g2o(path: Path, result: MapResult) -> None:
+    # GTSAM writes poses and relative poses only; g2o has no tags for the rest. Plain cluster
+    # numbers replace the symbols, which other readers would show as 19-digit numbers.
+    graph, poses = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    for placed in result.clusters:
+        poses.insert(placed.id, result.values.atPose3(pose_key(placed.id)))
+    for factor in result.factors:
+        if isinstance(factor.factor, gtsam.BetweenFactorPose3):
+            graph.push_back(factor.factor.rekey([cluster_of(key) for key in factor.keys]))
+    gtsam.writeG2o(graph, poses, str(path))
+
+
+def _write_json(path: Path, tree: Mapping[str, Any], indent: int | None = None) -> None:
+    with path.open('w', encoding='utf-8') as file:
+        json.dump(tree, file, indent=indent, allow_nan=False)
+        file.write('\n')
+
+
+def _write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    with path.open('w', encoding='utf-8', newline='') as file:
+        writer = csv.DictWriter(file, fieldnames=list(rows[0]) if rows else ['window'])
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def _write(path: Path, write: Callable[[Path], object]) -> None:
+    partial = path.with_name(f'.{path.name}.partial')
+    try:
+        write(partial)
+        partial.replace(path)
+    except OSError as error:
+        raise OutputError(f'{path}: cannot be written ({error.strerror})') from error
+
+
+def _read_points(path: Path) -> NDArray[np.float64]:
+    """Points (N, 3) of a map that ``map`` wrote; its layout is fixed.
+
+    By hand, because plyfile's licence (GPL) is not ours, and small_gicp's reader ends the process
+    where a file is damaged.
+    """
+    head, end, body = path.read_bytes().partition(b'end_header\n')
+    count = re.search(rb'^element vertex (\d+)$', head, flags=re.MULTILINE)
+    if not end or count is None or len(body) != 12 * int(count[1]):
+        raise InputError(f'{path}: is damaged, or is no map that "incremental_mapper map" wrote')
+    return np.frombuffer(body, dtype='<f4').reshape(-1, 3).astype(np.float64)

@@ -1,17 +1,15 @@
-"""The table that ``map`` prints, and the pictures beside it."""
+"""The main numbers of a run as ``map`` prints them."""
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
-
-from incremental_mapper.results.finished_run import GRAPH_SECONDS, interesting_stretch
-from incremental_mapper.results.offline_run import Run
-from incremental_mapper.results.run_files import graph_tree
-from incremental_mapper.trajectory import Trajectory
 
 
 def summary(stats: Mapping[str, Any]) -> str:
-    """The main numbers of a run, one a line, aligned."""
+    """The main numbers of a run, one a line, aligned.
+
+    Args:
+        stats: The keys of ``stats.json``.
+    """
     by_kind = stats['factors_by_kind']
     rows = [
         ('strategy', stats['strategy']),
@@ -79,21 +77,6 @@ def summary(stats: Mapping[str, Any]) -> str:
         rows.append(('interrupted', 'the rest of the input was not read'))
     width = max(len(name) for name, _ in rows)
     return '\n'.join(f'{name:<{width}}  {text}' for name, text in rows)
-
-
-def draw_pictures(folder: Path, run: Run, truth: Trajectory | None) -> str | None:
-    """Write the pictures of a run; returns a remark where they cannot be drawn."""
-    try:
-        from incremental_mapper.visualization.graph_picture import draw_graph
-        from incremental_mapper.visualization.pictures import draw_map, draw_trajectory
-    except ModuleNotFoundError as error:
-        return f'no pictures, {error.name} is missing: pip install "incremental_mapper[report]"'
-    result = run.result
-    draw_trajectory(folder / 'trajectory.png', result.trajectory, truth, result.fixes)
-    draw_map(folder / 'map.png', run.points, result.trajectory)
-    graph = graph_tree(result.clusters, result.factors, result.values)
-    draw_graph(folder / 'graph.png', graph, *interesting_stretch(graph, GRAPH_SECONDS))
-    return None
 
 
 def _counts(counts: Mapping[str, int]) -> str:

@@ -27,14 +27,12 @@ class Saved:
     note: str | None
 
 
-def save_map(
-    wanted: Path, mapper: Mapper, drops: Drops, wall: float, facts: InputFacts
-) -> Saved:
+def save_map(wanted: Path, mapper: Mapper, drops: Drops, wall: float, facts: InputFacts) -> Saved:
     """Write the files of ``map`` into ``wanted``, or into ``wanted_2`` and so on where it exists.
 
     ``drops`` is what was lost before the mapper, ``wall`` the seconds since the first
-    measurement, ``facts`` what stats.json says of the input. Raises OutputError where there is nothing to
-    save or the folder cannot be written.
+    measurement, ``facts`` what stats.json says of the input. Raises OutputError where there is
+    nothing to save or the folder cannot be written.
     """
     result = mapper.result()
     if not result.clusters:

@@ -50,8 +50,8 @@ class Theme:
     odd: str = '#F3EEDF'
     edge: str = '#A9B7C4'
     node: str = '#FFFFFE'
-    loose: str = '#FBD5D5'
-    loose_edge: str = '#B2182B'
+    unconnected: str = '#FBD5D5'
+    unconnected_edge: str = '#B2182B'
 
     @property
     def lidars(self) -> tuple[str, ...]:
@@ -78,8 +78,8 @@ DARK = Theme(
     odd='#312C1F',
     edge='#50606F',
     node='#14181E',
-    loose='#5A1F24',
-    loose_edge='#FF7B72',
+    unconnected='#5A1F24',
+    unconnected_edge='#FF7B72',
 )
 THEMES = {'light': LIGHT, 'dark': DARK}
 _ROLES = [field.name for field in fields(Theme)]

@@ -204,7 +204,7 @@ def test_failed_save_keeps_the_map(start_node, messages, tmp_path, monkeypatch):
     monkeypatch.setattr(saving_module, 'map_points', lambda *_: 1 / 0)
     assert session.call('save_map') == (False, 'saving failed; the log says how')
     monkeypatch.undo()
-    monkeypatch.setattr(saving_module, 'draw_pictures', lambda *_: 1 / 0)
+    monkeypatch.setattr(saving_module, 'draw_result', lambda *_: 1 / 0)
     assert session.call('save_map')[0], 'without pictures'
     assert vertices(tmp_path / 'saved') > 0
     assert session.diagnostics()['worker']['mapper_failures'] == 0

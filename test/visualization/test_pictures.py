@@ -20,11 +20,8 @@ from incremental_mapper.visualization.figure import (
     axes_pixels,
     svg_for_page,
 )
-from incremental_mapper.visualization.graph_picture import (
-    draw_graph,
-    graph_figure,
-    unconnected_variables,
-)
+from incremental_mapper.visualization.graph_picture import draw_graph, graph_figure
+from incremental_mapper.visualization.graph_view import unconnected_variables
 from incremental_mapper.visualization.pictures import (
     WIDE,
     draw_map,

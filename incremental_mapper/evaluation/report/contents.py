@@ -10,7 +10,7 @@ from typing import Any
 from incremental_mapper.errors import InputError
 from incremental_mapper.evaluation.segments import Motion
 from incremental_mapper.evaluation.table import BASE, Entry
-from incremental_mapper.results.finished_run import FinishedRun
+from incremental_mapper.results.run_folder import FinishedRun
 from incremental_mapper.trajectory import Trajectory, read_tum
 
 RECORD_FILE = 'evaluation.json'

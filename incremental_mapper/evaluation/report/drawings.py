@@ -8,13 +8,10 @@ from incremental_mapper.evaluation.report.charts import progress_figure
 from incremental_mapper.evaluation.report.contents import Sequence
 from incremental_mapper.evaluation.table import BASE
 from incremental_mapper.measurements import NANOSECONDS
-from incremental_mapper.results.finished_run import FinishedRun
+from incremental_mapper.results.run_folder import FinishedRun
 from incremental_mapper.visualization.figure import PAGE, Look, css_colour, svg_for_page
-from incremental_mapper.visualization.graph_picture import (
-    graph_figure,
-    graph_legend,
-    loose_variables,
-)
+from incremental_mapper.visualization.graph_picture import graph_figure, graph_legend
+from incremental_mapper.visualization.graph_view import unconnected_variables
 from incremental_mapper.visualization.pictures import map_figure, side_figure, trajectory_figure
 
 GRAPH_SECONDS = 0.8
@@ -95,17 +92,17 @@ def sequence_pictures(
 
 
 def graph_stretches(sequence: Sequence, number: int) -> Iterator[Stretch]:
-    """The graphs of base and of the lead over the same time: typical, and where base is loose."""
+    """The graphs of base and of the lead: a typical stretch, and one where base is unconnected."""
     lead = sequence.lead
     if lead is None:
         return
     run = sequence.runs[lead]
     typical = run.stretch(GRAPH_SECONDS)
     yield _stretch(sequence, lead, f'{number}a', 'The graph', typical)
-    loose = [] if BASE not in sequence.runs else _loose_stamps(sequence.runs[BASE])
-    if loose:
+    unconnected = [] if BASE not in sequence.runs else _unconnected_stamps(sequence.runs[BASE])
+    if unconnected:
         length, middle = typical[1] - typical[0], sum(typical) // 2
-        centre = min(loose, key=lambda stamp: abs(stamp - middle))
+        centre = min(unconnected, key=lambda stamp: abs(stamp - middle))
         latest = run.last_stamp + EDGE - length
         start = max(min(centre - length // 2, latest), run.first_stamp - EDGE)
         span = (start, start + length)
@@ -121,9 +118,9 @@ def _stretch(
         if name not in sequence.runs:
             continue
         figure, shown = graph_figure(sequence.runs[name].graph, *span, TALL, origin)
-        loose = f', {shown.loose} of them not connected' if shown.loose else ''
+        unconnected = f', {shown.unconnected} of them not connected' if shown.unconnected else ''
         counts = (
-            f'{shown.clusters} clusters, {shown.variables} variables{loose}, '
+            f'{shown.clusters} clusters, {shown.variables} variables{unconnected}, '
             f'{shown.factors} factors'
         )
         described = f'Factor graph of {name} on {sequence.name}: {counts}'
@@ -133,9 +130,9 @@ def _stretch(
     return Stretch(f'{heading}, {start:.2f} s to {end:.2f} s', tuple(pictures))
 
 
-def _loose_stamps(run: FinishedRun) -> list[int]:
-    loose = loose_variables(run.graph)
-    return [item['stamp_ns'] for item in run.graph['variables'] if item['key'] in loose]
+def _unconnected_stamps(run: FinishedRun) -> list[int]:
+    unconnected = unconnected_variables(run.graph)
+    return [item['stamp_ns'] for item in run.graph['variables'] if item['key'] in unconnected]
 
 
 def graph_swatches(sequences: tuple[Sequence, ...]) -> list[Swatch]:

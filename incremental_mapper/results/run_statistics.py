@@ -1,0 +1,148 @@
+"""``stats.json`` as one record: what the mapper counted, and what the run around it adds."""
+
+import sys
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from importlib import metadata
+from typing import Any, Self, TypeAlias
+
+import numpy as np
+
+from incremental_mapper import __version__
+from incremental_mapper.mapping.result import MapResult
+from incremental_mapper.mapping.statistics import peak_rss_mb
+from incremental_mapper.measurements import Drops
+from incremental_mapper.results.trajectory_errors import TrajectoryErrors
+
+DropCounts: TypeAlias = dict[str, dict[str, int]]
+"""Numbers of measurements that were not used, by sensor and reason."""
+
+LIBRARIES = ('gtsam', 'kiss-icp', 'small_gicp', 'rosbags', 'numpy', 'scipy', 'pymap3d')
+
+
+@dataclass(frozen=True, slots=True)
+class InputFacts:
+    """What was mapped: where it came from, its kind, its measurements by sensor, remarks."""
+
+    path: str
+    kind: str
+    counts: Mapping[str, int]
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class WindowSeconds:
+    """Seconds that windows took: median, 99th percentile, means of the first and last tenth."""
+
+    window_median_s: float
+    window_p99_s: float
+    window_first_tenth_s: float
+    window_last_tenth_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class RunStatistics:
+    """Everything that ``stats.json`` tells of a run.
+
+    ``mapped`` holds the mapper's own keys. ``dropped`` counts what was lost in the mapper and
+    before it. ``wall_s`` are the seconds that the run took and ``real_time_factor`` those of the
+    drive divided by them; ``peak_rss_mb`` is the largest resident memory of the process.
+    ``windows`` is None where no window held a core measurement, ``errors`` where there is no
+    truth.
+    """
+
+    mapped: Mapping[str, Any]
+    dropped: DropCounts
+    wall_s: float
+    real_time_factor: float
+    peak_rss_mb: float
+    windows: WindowSeconds | None
+    versions: Mapping[str, str]
+    interrupted: bool
+    map_points: int
+    errors: TrajectoryErrors | None
+    input: InputFacts
+
+    @classmethod
+    def of_run(
+        cls,
+        result: MapResult,
+        drops: Drops,
+        wall_s: float,
+        map_points: int,
+        facts: InputFacts,
+        errors: TrajectoryErrors | None = None,
+        interrupted: bool = False,
+    ) -> Self:
+        """The record of a run that has just ended in this process.
+
+        Args:
+            result: What the mapper made.
+            drops: Measurements that were lost before they reached the mapper.
+            wall_s: Seconds from the first measurement to the map.
+            map_points: Number of points of the saved map.
+            facts: What was mapped.
+            errors: Against the truth, where there is one.
+            interrupted: Whether the rest of the input was not read.
+        """
+        return cls(
+            mapped=result.stats,
+            dropped=_all_drops(result.stats['dropped'], drops),
+            wall_s=wall_s,
+            real_time_factor=result.stats['drive_s'] / wall_s,
+            peak_rss_mb=peak_rss_mb(),
+            windows=_window_seconds(result),
+            versions=versions(),
+            interrupted=interrupted,
+            map_points=map_points,
+            errors=errors,
+            input=facts,
+        )
+
+    def to_tree(self) -> dict[str, Any]:
+        """The keys of ``stats.json`` in their order, as plain values."""
+        return {
+            **self.mapped,
+            'dropped': self.dropped,
+            'wall_s': self.wall_s,
+            'real_time_factor': self.real_time_factor,
+            'peak_rss_mb': self.peak_rss_mb,
+            **({} if self.windows is None else asdict(self.windows)),
+            'versions': dict(self.versions),
+            'interrupted': self.interrupted,
+            'map_points': self.map_points,
+            **({} if self.errors is None else asdict(self.errors)),
+            'input': {
+                'path': self.input.path,
+                'kind': self.input.kind,
+                'counts': dict(self.input.counts),
+                'notes': list(self.input.notes),
+            },
+        }
+
+
+def versions() -> dict[str, str]:
+    """Versions of this package, of Python, and of the libraries that numbers depend on."""
+    own = {'incremental_mapper': __version__, 'python': sys.version.split()[0]}
+    return own | {name: metadata.version(name) for name in LIBRARIES}
+
+
+def _all_drops(in_mapper: Mapping[str, Mapping[str, int]], before: Drops) -> DropCounts:
+    dropped = {sensor: dict(reasons) for sensor, reasons in in_mapper.items()}
+    for (sensor, reason), count in before.items():
+        reasons = dropped.setdefault(sensor, {})
+        reasons[reason] = reasons.get(reason, 0) + count
+    return dropped
+
+
+def _window_seconds(result: MapResult) -> WindowSeconds | None:
+    seconds = np.array([row['window_s'] for row in result.rows if row['core']])
+    if len(seconds) == 0:
+        return None
+    tenth = max(len(seconds) // 10, 1)
+    return WindowSeconds(
+        window_median_s=float(np.median(seconds)),
+        window_p99_s=float(np.percentile(seconds, 99)),
+        window_first_tenth_s=float(seconds[:tenth].mean()),
+        window_last_tenth_s=float(seconds[-tenth:].mean()),
+    )
