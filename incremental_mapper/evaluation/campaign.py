@@ -3,7 +3,6 @@
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -119,13 +118,12 @@ def _run(
 ) -> tuple[Outcome, ...]:
     """The outcomes of all jobs, in their order, after those that were left have been run."""
     outcomes = {outcome.job.folder: outcome for outcome in before}
-    with closing(workers.run(run_job, todo)) as completed:
-        for job, future in completed:
-            outcome = _outcome(job, future)
-            if outcome.status is Status.INTERRUPTED:
-                raise KeyboardInterrupt
-            outcomes[job.folder] = outcome
-            tell(outcome)
+    for job, future in workers.run(run_job, todo):
+        outcome = _outcome(job, future)
+        if outcome.status is Status.INTERRUPTED:
+            raise KeyboardInterrupt
+        outcomes[job.folder] = outcome
+        tell(outcome)
     return tuple(outcomes.values())
 
 
@@ -187,14 +185,13 @@ def _qualities(
     found = {job.folder: asdict(quality) for job, quality in stored.items() if quality is not None}
     remarks = []
     todo = [job for job, quality in stored.items() if quality is None]
-    with closing(workers.run(run_quality_job, todo)) as completed:
-        for job, future in completed:
-            error = None if future.cancelled() else future.exception()
-            if future.cancelled() or error is not None:
-                reason = ' '.join(str(error or 'given up').split())
-                remarks.append(f'{job.folder}: its map could not be compared ({reason})')
-            else:
-                found[job.folder] = asdict(future.result())
+    for job, future in workers.run(run_quality_job, todo):
+        error = None if future.cancelled() else future.exception()
+        if future.cancelled() or error is not None:
+            reason = ' '.join(str(error or 'given up').split())
+            remarks.append(f'{job.folder}: its map could not be compared ({reason})')
+        else:
+            found[job.folder] = asdict(future.result())
     return found, remarks
 
 

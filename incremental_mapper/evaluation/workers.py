@@ -6,11 +6,15 @@ run a function over items and give back each one's future as it is completed.
 
 import multiprocessing
 import signal
-from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import (
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+    as_completed,
+)
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from multiprocessing.synchronize import Event
 from types import TracebackType
 from typing import Any, Protocol, Self, TypeVar
@@ -64,22 +68,33 @@ class Workers(Protocol):
 
     def run(
         self, function: Callable[[Item], Result], items: Iterable[Item]
-    ) -> Generator[tuple[Item, 'Future[Result]'], None, None]:
+    ) -> Iterator[tuple[Item, 'Future[Result]']]:
         """Each item with its completed future, in the order of completion."""
 
 
 class LocalWorkers:
     """Processes on this machine; one that dies takes only its own item with it.
 
-    They are spawned, not forked: threads of the libraries do not survive a fork.
+    Each runs in a pool of its own, since a pool with a dead process is broken as a whole. Dask's
+    LocalCluster would run a deadly item again or blame what waits behind it on the same worker.
     """
 
     def __init__(self, count: int) -> None:
-        """Begin nothing yet: processes start with the first item."""
-        self._count = count
+        """Begin nothing yet: processes start with the first items.
+
+        Args:
+            count: Items that run side by side.
+        """
+        # Spawned, not forked: threads of the libraries do not survive a fork.
         self._context = multiprocessing.get_context('spawn')
         self._event = self._context.Event()
-        self._pool: ProcessPoolExecutor | None = None
+        self._idle: list[ProcessPoolExecutor] = []
+        # A process inherits what its starter blocks, so none of them sees Ctrl-C.
+        self._threads = ThreadPoolExecutor(
+            count,
+            initializer=signal.pthread_sigmask,
+            initargs=(signal.SIG_BLOCK, {signal.SIGINT}),
+        )
 
     def __enter__(self) -> Self:
         return self
@@ -91,42 +106,39 @@ class LocalWorkers:
         trace: TracebackType | None,
     ) -> None:
         self._event.set()
-        self._close()
+        self._threads.shutdown(cancel_futures=True)
+        for pool in self._idle:
+            pool.shutdown()
 
     def run(
         self, function: Callable[[Item], Result], items: Iterable[Item]
-    ) -> Generator[tuple[Item, 'Future[Result]'], None, None]:
+    ) -> Iterator[tuple[Item, 'Future[Result]']]:
         """Each item with its completed future; that of a dead process holds BrokenProcessPool."""
-        waiting = deque(items)
-        while waiting:
-            suspects = []
-            for item, future in _side_by_side(self._open(), function, waiting, self._count):
-                if _process_died(future):
-                    suspects.append((item, future))
-                else:
-                    yield item, future
-            if suspects:
-                self._close()
-            if len(suspects) == 1:
-                yield suspects.pop()
-            # Which item killed its process is not known; each for itself, only that one does again.
-            for item, _ in suspects:
-                alone = next(_side_by_side(self._open(), function, deque([item]), 1))
-                if _process_died(alone[1]):
-                    self._close()
-                yield alone
+        return _completed(
+            {self._threads.submit(self._in_a_process, function, item): item for item in items}
+        )
 
-    def _open(self) -> ProcessPoolExecutor:
-        if self._pool is None:
-            self._pool = ProcessPoolExecutor(
-                self._count, self._context, initializer=_begin_worker, initargs=(self._event,)
+    def _in_a_process(self, function: Callable[[Item], Result], item: Item) -> Result:
+        future = None
+        while future is None:
+            pool = self._pool()
+            try:
+                future = pool.submit(function, item)
+            except BrokenProcessPool:  # it died while it had nothing to do
+                pool.shutdown()
+        if isinstance(future.exception(), BrokenProcessPool):
+            pool.shutdown()
+        else:
+            self._idle.append(pool)
+        return future.result()
+
+    def _pool(self) -> ProcessPoolExecutor:
+        try:
+            return self._idle.pop()
+        except IndexError:
+            return ProcessPoolExecutor(
+                1, self._context, initializer=_begin_worker, initargs=(self._event,)
             )
-        return self._pool
-
-    def _close(self) -> None:
-        if self._pool is not None:
-            self._pool.shutdown(cancel_futures=True)
-            self._pool = None
 
 
 class ClusterWorkers:
@@ -174,50 +186,16 @@ class ClusterWorkers:
 
     def run(
         self, function: Callable[[Item], Result], items: Iterable[Item]
-    ) -> Generator[tuple[Item, 'Future[Result]'], None, None]:
+    ) -> Iterator[tuple[Item, 'Future[Result]']]:
         """Each item with its completed future, in the order of completion."""
-        return _side_by_side(self._pool, function, deque(items), None)
+        return _completed({self._pool.submit(function, item): item for item in items})
 
 
-def _side_by_side(
-    pool: Executor,
-    function: Callable[[Item], Result],
-    waiting: deque[Item],
-    at_most: int | None,
-) -> Generator[tuple[Item, 'Future[Result]'], None, None]:
-    """Take items from ``waiting``, with ``at_most`` begun and not completed at any time.
-
-    Items stay in ``waiting`` where the pool broke before they were begun.
-    """
-    begun: dict[Future[Result], Item] = {}
-    broken = False
-    while begun or (waiting and not broken):
-        while waiting and not broken and (at_most is None or len(begun) < at_most):
-            try:
-                with _interrupts_held():
-                    future = pool.submit(function, waiting[0])
-            except BrokenProcessPool:
-                broken = True
-                break
-            begun[future] = waiting.popleft()
-        done, _ = wait(begun, return_when=FIRST_COMPLETED)
-        for future in done:
-            broken = broken or _process_died(future)
-            yield begun.pop(future), future
-
-
-def _process_died(future: 'Future[Any]') -> bool:
-    return not future.cancelled() and isinstance(future.exception(), BrokenProcessPool)
-
-
-@contextmanager
-def _interrupts_held() -> Iterator[None]:
-    """Processes that are started meanwhile never see Ctrl-C; this one sees it afterwards."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+def _completed(
+    futures: dict['Future[Result]', Item],
+) -> Iterator[tuple[Item, 'Future[Result]']]:
+    for future in as_completed(futures):
+        yield futures[future], future
 
 
 def _begin_worker(event: Event) -> None:
