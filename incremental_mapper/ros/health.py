@@ -12,7 +12,8 @@ from incremental_mapper.mapping.statistics import STAGES
 from incremental_mapper.measurements import Drops
 from incremental_mapper.ros.result_messages import status
 from incremental_mapper.ros.subscriptions import GNSS, Inputs
-from incremental_mapper.ros.worker import WindowUpdate, Worker
+from incremental_mapper.ros.updates import WindowUpdate
+from incremental_mapper.ros.worker import Worker
 
 MAPPER_KEYS = ('windows', 'clusters', 'vertices', 'factors', 'components', 'georeferenced')
 MB = 1e6
@@ -111,7 +112,9 @@ class Health:
             'peak_rss_mb': stats.get('peak_rss_mb', 0.0),
         }
         level, message = DiagnosticStatus.OK, 'keeps up'
-        if self._worker.failures:
+        if not self._worker.has_map:
+            level, message = DiagnosticStatus.ERROR, 'no map could be begun; measurements are lost'
+        elif self._worker.failures:
             level, message = DiagnosticStatus.WARN, f'mapper failures: {self._worker.failures}'
         elif overloaded:
             level, message = DiagnosticStatus.WARN, 'falling behind: less search'

@@ -29,15 +29,15 @@ from incremental_mapper.ros.inbox import Command, Deadline, Order
 from incremental_mapper.ros.parameters import NodeParameters
 from incremental_mapper.ros.publishers import Outputs
 from incremental_mapper.ros.subscriptions import Inputs
-from incremental_mapper.ros.worker import (
+from incremental_mapper.ros.updates import (
     Reply,
     Restarted,
     Trouble,
     Update,
     ViewUpdate,
     WindowUpdate,
-    Worker,
 )
+from incremental_mapper.ros.worker import Worker
 
 NAME = 'incremental_mapper'
 TICK = 0.1

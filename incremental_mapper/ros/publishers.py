@@ -27,7 +27,7 @@ from incremental_mapper.ros.result_messages import (
     stats_message,
 )
 from incremental_mapper.ros.transforms import make_transforms
-from incremental_mapper.ros.worker import ViewUpdate, WindowUpdate
+from incremental_mapper.ros.updates import ViewUpdate, WindowUpdate
 
 QUIET = PublisherEventCallbacks(use_default_callbacks=False)
 """A reader that asks for more than is offered is told so on its side; every event that the
@@ -123,6 +123,8 @@ class Outputs:
         ):
             self._views[view].publisher.publish(message)
             self._views[view].published = self._windows
+            # Where the mapper failed over a view, no answer will come.
+            self._views[view].asked = False
 
     def tick(self) -> None:
         """Ask for the views that have changed, are due, and that someone listens to.

@@ -1,0 +1,125 @@
+"""One map from its first measurement to its last: the mapper, and what is told of its windows."""
+
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import gtsam
+
+from incremental_mapper.config import Config
+from incremental_mapper.mapping.load_shedding import NO_SHEDDING, LoadShedding
+from incremental_mapper.mapping.mapper import Mapper
+from incremental_mapper.mapping.result import NewestState, WindowResult
+from incremental_mapper.mapping.statistics import peak_rss_mb
+from incremental_mapper.measurements import Drops, Measurement
+from incremental_mapper.results.run_statistics import InputFacts
+from incremental_mapper.ros.inbox import View
+from incremental_mapper.ros.live_map import LiveMap
+from incremental_mapper.ros.saving import Saved, save_map
+from incremental_mapper.ros.subscriptions import GNSS, IMU
+from incremental_mapper.ros.updates import ViewUpdate, WindowUpdate
+from incremental_mapper.smoothing.graph_state import PlacedScan
+
+FAILED = 'mapper_failed'
+"""Why a measurement was lost where the mapper raised."""
+
+
+class MapSession:
+    """A mapper with its live map and its odometry frame; used in the worker's thread.
+
+    ``limited_windows`` counts the windows for which fewer candidates were tried because
+    measurements came too fast; ``scan_bytes`` and ``cloud_bytes`` are what this map's scans and
+    its voxels take. Any thread may read these. Whatever the libraries below raise is let through.
+    """
+
+    def __init__(self, config: Config) -> None:
+        self.limited_windows = self.scan_bytes = self.cloud_bytes = 0
+        self._mapper = Mapper(config, [*config.lidars, IMU, GNSS])
+        self._live = LiveMap(self._mapper)
+        self._started: float | None = None
+        self._T_odom_base = gtsam.Pose3()
+        self._last_cluster: int | None = None
+        self._scans = 0
+
+    def close(self) -> None:
+        """Let go of the mapper's processes."""
+        self._mapper.close()
+
+    def advance(self, measurement: Measurement, shedding: LoadShedding) -> Iterator[WindowUpdate]:
+        """Map a measurement; the windows that it completes are told of one by one."""
+        if self._started is None:
+            self._started = time.perf_counter()
+        for result in self._mapper.advance(measurement, shedding):
+            self.limited_windows += shedding.candidates is not None
+            yield self._update(result)
+
+    def drain(self) -> Iterator[WindowUpdate]:
+        """Close and map every open window."""
+        for result in self._mapper.drain(NO_SHEDDING):
+            yield self._update(result)
+
+    def view(self, view: View, graph_span: float) -> ViewUpdate:
+        """Map, path or graph as they stand; ``graph_span`` is how much of the graph, seconds."""
+        stamp = self._mapper.state.frontier.newest_stamp
+        if view is View.MAP:
+            return ViewUpdate(view, self._live.points(), stamp)
+        if view is View.PATH:
+            return ViewUpdate(view, self._live.path(), stamp)
+        return ViewUpdate(view, self._live.graph(graph_span), stamp)
+
+    def save(self, folder: Path, drops: Drops) -> Saved:
+        """Save the map into ``folder`` or beside it; ``drops`` is what never reached the mapper.
+
+        Raises OutputError where there is nothing to save or the folder cannot be written.
+        """
+        counts = dict(self._mapper.stats()['received'])
+        facts = InputFacts('ROS topics', 'ROS topics', counts)
+        return save_map(folder, self._mapper, drops, self._wall(), facts)
+
+    def in_no_cluster(self) -> Drops:
+        """Core measurements that the mapper took in and has neither used nor counted."""
+        stats, lost = self._mapper.stats(), Counter[tuple[str, str]]()
+        for sensor, count in stats['received'].items():
+            if sensor != IMU:
+                lost[sensor, FAILED] = count - sum(stats['dropped'].get(sensor, {}).values())
+        for placed in self._mapper.state.clusters:
+            lost.subtract((core.sensor, FAILED) for core in placed.cluster.members)
+        return +lost
+
+    def _wall(self) -> float:
+        return 0.0 if self._started is None else time.perf_counter() - self._started
+
+    def _update(self, result: WindowResult) -> WindowUpdate:
+        self._live.follow()
+        stats, wall = self._mapper.stats(), self._wall()
+        stats |= {
+            'wall_s': wall,
+            'real_time_factor': stats['drive_s'] / wall if wall > 0 else 0.0,
+            'peak_rss_mb': peak_rss_mb(),
+        }
+        newest = self._mapper.newest() if result.clusters else None
+        T_odom_base = None if newest is None else self._move_odom(newest)
+        scans = self._new_scans()
+        self.scan_bytes += sum(scan.stored.nbytes for scan in scans)
+        self.cloud_bytes = self._live.nbytes
+        return WindowUpdate(result, newest, T_odom_base, self._live.placed(scans), stats)
+
+    def _new_scans(self) -> Sequence[PlacedScan]:
+        scans = self._mapper.state.scans
+        before, self._scans = self._scans, len(scans)
+        return scans[before:]
+
+    def _move_odom(self, newest: NewestState) -> gtsam.Pose3:
+        """The pose in the odometry frame: moved by what one estimate says of the last step.
+
+        Corrections of the map move both ends of the step, so the pose does not jump with them.
+        """
+        state = self._mapper.state
+        if self._last_cluster is None:
+            self._T_odom_base = newest.pose
+        else:
+            step = state.pose(self._last_cluster).between(newest.pose)
+            self._T_odom_base = self._T_odom_base.compose(step)
+        self._last_cluster = state.frontier.newest
+        return self._T_odom_base

@@ -1,0 +1,62 @@
+"""What the worker tells the executor's thread."""
+
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from incremental_mapper.mapping.result import NewestState, WindowResult
+from incremental_mapper.ros.inbox import View
+from incremental_mapper.ros.live_map import GraphView, PathView
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WindowUpdate:
+    """A window's result.
+
+    ``newest`` and ``T_odom_base`` are None where the window appended nothing; ``points`` (N, 3)
+    are its new points in the map, metres; ``stats`` the keys of stats.json so far.
+    """
+
+    result: WindowResult
+    newest: NewestState | None
+    T_odom_base: gtsam.Pose3 | None
+    points: NDArray[np.float64]
+    stats: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ViewUpdate:
+    """A view that was asked for, and the newest stamp in it (ns); the map is (N, 3), metres."""
+
+    view: View
+    content: NDArray[np.float32] | PathView | GraphView
+    stamp: int
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """What came of an order."""
+
+    ticket: int
+    success: bool
+    message: str
+
+
+@dataclass(frozen=True, slots=True)
+class Restarted:
+    """The map begins anew; what was published of the old one no longer holds."""
+
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Trouble:
+    """Something that a log must tell of."""
+
+    message: str
+
+
+Update: TypeAlias = WindowUpdate | ViewUpdate | Reply | Restarted | Trouble

@@ -1,0 +1,279 @@
+"""The worker by itself: a real mapper in its thread, and what becomes of both where it fails."""
+
+import json
+import os
+import time
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy', reason='rclpy is not installed (extra "ros")')
+
+from incremental_mapper.config import merge
+from incremental_mapper.datasets.open import open_source
+from incremental_mapper.mapping.mapper import Mapper
+from incremental_mapper.results.offline_run import effective_config
+from incremental_mapper.ros import worker as worker_module
+from incremental_mapper.ros.inbox import Command, Order, View
+from incremental_mapper.ros.updates import Reply, Restarted, Trouble, ViewUpdate, WindowUpdate
+from incremental_mapper.ros.worker import Worker
+
+QUICK = {'selection': {'strategy': 'min_time_shift'}, 'odometry': {'method': 'gicp'}}
+
+
+class Run:
+    """A worker, the drive that it maps, and everything that it told."""
+
+    def __init__(self, drive, tree):
+        source = open_source(drive, merge(QUICK, tree))
+        self.config = effective_config(source, merge(QUICK, tree), 'test')
+        self.measurements = list(source.measurements())
+        self.told = []
+        self.worker = Worker(self.config, self.told.append)
+        self.worker.start()
+        self._tickets = 0
+
+    def of(self, kind):
+        return [item for item in list(self.told) if isinstance(item, kind)]
+
+    def wait(self, condition, what):
+        end = time.monotonic() + 30.0
+        while not condition():
+            assert self.worker.running(), f'the worker has ended: {what}'
+            assert time.monotonic() < end, f'timed out: {what}'
+            time.sleep(0.005)
+
+    def order(self, order):
+        """Give an order; returns success and message."""
+        self._tickets += 1
+        ticket = self._tickets
+        self.worker.inbox.put(Command(order, ticket))
+
+        def replies():
+            return [item for item in self.of(Reply) if item.ticket == ticket]
+
+        self.wait(replies, f'reply to {order}')
+        (reply,) = replies()
+        return reply.success, reply.message
+
+    def feed(self, measurements):
+        for item in measurements:
+            self.worker.inbox.put(item)
+
+    def view(self, view):
+        seen = len(self.of(ViewUpdate))
+        self.worker.inbox.request(view)
+        self.wait(lambda: len(self.of(ViewUpdate)) > seen, f'the view {view}')
+        return self.of(ViewUpdate)[-1]
+
+    def stop(self, seconds=30.0):
+        self.worker.begin_stop(seconds)
+        self.worker.join()
+
+
+@pytest.fixture
+def start(light_drive, tmp_path):
+    """Start a worker on ``light_drive``; it is stopped in the end."""
+    runs = []
+
+    def make(tree=None):
+        saving = {'save': {'folder': str(tmp_path / 'saved')}}
+        runs.append(Run(light_drive, merge(saving, tree or {})))
+        return runs[-1]
+
+    yield make
+    for run in runs:
+        if run.worker.running():
+            run.stop()
+
+
+def on_disk(folder):
+    """Settings that keep the scans in ``folder``, which is made."""
+    folder.mkdir()
+    return {'map': {'store': 'disk', 'store_folder': str(folder)}}
+
+
+def empty_store(folder):
+    """Take away what a store has written to ``folder``, as a failing disk would."""
+    found = [
+        path
+        for path in Path('/proc/self/fd').iterdir()
+        if path.is_symlink() and str(path.readlink()).startswith(str(folder))
+    ]
+    assert len(found) == 1
+    os.truncate(found[0], 0)
+
+
+def troubles(run):
+    return '\n'.join(item.message for item in run.of(Trouble))
+
+
+def scans_and_fixes(measurements):
+    return Counter(item.sensor for item in measurements if item.sensor != 'imu')
+
+
+def processes():
+    """Commands of the children, whichever thread made them, that prepare scans."""
+    tasks = Path('/proc/self/task').iterdir()
+    children = ' '.join((task / 'children').read_text(encoding='ascii') for task in tasks)
+    commands = [Path(f'/proc/{number}/cmdline').read_text() for number in children.split()]
+    return [command for command in commands if 'odometry_process' in command]
+
+
+def test_windows_are_those_of_the_mapper_alone(start):
+    run = start()
+    run.feed(run.measurements)
+    assert run.order(Order.FLUSH)[0]
+    mapper = Mapper(run.config, [*run.config.lidars, 'imu', 'gnss'])
+    results = [result for item in run.measurements for result in mapper.push(item)]
+    results += mapper.flush()
+    updates = run.of(WindowUpdate)
+    assert [item.result.row['members'] for item in updates] == [
+        result.row['members'] for result in results
+    ]
+    assert updates[-1].stats['vertices'] == mapper.stats()['vertices'] > 10
+    in_range = [
+        (np.linalg.norm(scan.points, axis=1) <= run.config.map.max_range).sum()
+        for scan in mapper.state.scans
+    ]
+    assert sum(len(item.points) for item in updates) == sum(in_range)
+    assert run.worker.scan_bytes == sum(scan.stored.nbytes for scan in mapper.state.scans)
+    assert run.worker.failures == 0 and not run.of(Restarted)
+
+
+def test_odometry_frame_does_not_jump_when_the_map_is_turned(start):
+    run = start()
+    run.feed(run.measurements)
+    assert run.order(Order.FLUSH)[0]
+    updates = [item for item in run.of(WindowUpdate) if item.newest is not None]
+    assert updates[-1].stats['georeferenced']
+    speed = max(np.linalg.norm(item.newest.velocity) for item in updates)
+
+    def fastest(poses):
+        """Largest step between two windows, in m/s."""
+        places = np.array([pose.translation() for pose in poses])
+        seconds = np.diff([item.newest.stamp for item in updates]) / 1e9
+        return (np.linalg.norm(np.diff(places, axis=0), axis=1) / seconds).max()
+
+    assert fastest([item.T_odom_base for item in updates]) < 1.5 * speed
+    assert fastest([item.newest.pose for item in updates]) > 3.0 * speed, 'the map was turned'
+
+
+def test_reset_without_a_place_for_the_map_is_answered_and_the_worker_lives(start, tmp_path):
+    folder = tmp_path / 'store'
+    run = start(on_disk(folder))
+    folder.rmdir()
+    success, message = run.order(Order.RESET)
+    assert not success and str(folder) in message
+    assert run.worker.failures == 1
+    assert f'{folder}: cannot hold the map' in troubles(run)
+    for order in (Order.FLUSH, Order.SAVE):
+        success, message = run.order(order)
+        assert not success and 'no map' in message
+    run.worker.inbox.request(View.MAP)
+    some = run.measurements[:200]
+    run.feed(some)
+    assert not run.order(Order.FLUSH)[0]
+    lost = Counter(item.sensor for item in some)
+    assert run.worker.drops() == {(name, 'mapper_failed'): count for name, count in lost.items()}
+    assert not run.of(WindowUpdate)
+    folder.mkdir()
+    assert run.order(Order.RESET)[0]
+    run.feed(run.measurements)
+    assert run.order(Order.FLUSH)[0]
+    assert run.order(Order.SAVE)[0]
+    stats = json.loads((tmp_path / 'saved' / 'stats.json').read_text())
+    assert stats['vertices'] > 10
+    assert len(run.view(View.MAP).content) > 1000
+    assert run.worker.failures == 1
+
+
+def test_second_failure_while_the_first_is_mended_is_counted_too(start, tmp_path, monkeypatch):
+    monkeypatch.setattr(worker_module, 'RETRY', 3600.0)
+    folder = tmp_path / 'store'
+    run = start(on_disk(folder))
+    half = len(run.measurements) // 2
+    run.feed(run.measurements[:half])
+    assert run.order(Order.FLUSH)[0]
+    empty_store(folder)
+    folder.rmdir()
+    run.worker.inbox.request(View.MAP)
+    run.feed(run.measurements[half:])
+    assert not run.order(Order.SAVE)[0]
+    assert run.worker.failures == 2
+    assert 'the map cannot be read back' in troubles(run)
+    assert f'{folder}: cannot hold the map' in troubles(run)
+    assert len(run.of(Restarted)) == 1
+    lost = Counter(item.sensor for item in run.measurements[half:])
+    drops = run.worker.drops()
+    assert {name: drops[name, 'mapper_failed'] for name in lost} == lost
+
+
+def test_worker_tries_again_by_itself(start, tmp_path, monkeypatch):
+    monkeypatch.setattr(worker_module, 'RETRY', 0.0)
+    folder = tmp_path / 'store'
+    run = start(on_disk(folder))
+    folder.rmdir()
+    assert not run.order(Order.RESET)[0]
+    run.feed(run.measurements[:5])
+    run.wait(lambda: run.worker.failures == 6, 'five more attempts')
+    assert run.worker.drops().total() == 5
+    folder.mkdir()
+    run.feed(run.measurements[5:])
+    assert run.order(Order.FLUSH)[0]
+    assert run.worker.failures == 6 and run.worker.drops().total() == 5
+    assert run.of(WindowUpdate)[-1].stats['received']['left'] > 10
+
+
+def test_mapper_that_cannot_be_made_leaves_no_process_behind(start, tmp_path):
+    folder = tmp_path / 'store'
+    run = start(merge(on_disk(folder), {'odometry': {'processes': True}}))
+    assert len(processes()) == 2
+    folder.rmdir()
+    for _ in range(3):
+        assert not run.order(Order.RESET)[0]
+    assert processes() == []
+
+
+def test_no_worker_without_a_place_for_the_map(light_drive, tmp_path):
+    tree = {'map': {'store': 'disk', 'store_folder': str(tmp_path / 'nowhere')}}
+    with pytest.raises(Exception, match='nowhere: cannot hold the map'):
+        Run(light_drive, tree)
+
+
+def test_stop_maps_what_waits_and_saves_it(start, tmp_path):
+    run = start({'save': {'on_shutdown': str(tmp_path / 'last')}})
+    run.feed(run.measurements)
+    run.stop()
+    graph = json.loads((tmp_path / 'last' / 'graph.json').read_text())
+    used = Counter(core['sensor'] for item in graph['clusters'] for core in item['members'])
+    assert used == scans_and_fixes(run.measurements)
+    assert 'saved to' in troubles(run)
+
+
+def test_what_is_left_at_the_deadline_is_counted(start):
+    run = start()
+    run.feed(run.measurements)
+    run.stop(0.0)
+    received = Counter()
+    for update in run.of(WindowUpdate)[-1:]:
+        received.update(update.stats['received'])
+    shut = Counter()
+    for (name, reason), count in run.worker.drops().items():
+        assert reason == 'shutdown'
+        shut[name] += count
+    assert shut.total() > len(run.measurements) // 2
+    assert received + shut == Counter(item.sensor for item in run.measurements)
+
+
+def test_map_that_cannot_be_saved_at_the_end_is_told_and_the_worker_ends(start, tmp_path):
+    folder = tmp_path / 'store'
+    run = start(merge(on_disk(folder), {'save': {'on_shutdown': str(tmp_path / 'last')}}))
+    run.feed(run.measurements)
+    assert run.order(Order.FLUSH)[0]
+    empty_store(folder)
+    run.stop()
+    assert 'the map cannot be read back' in troubles(run)
+    assert not (tmp_path / 'last').exists()
