@@ -24,6 +24,14 @@ TESTS = [
     'types-tqdm',
     *CLUSTER,
 ]
+# Everything that the pages need is here: nothing is fetched while they are built or read.
+PAGES = [
+    'fonttools>=4.40',
+    'latex2mathml>=3.77',
+    'mkdocs-material>=9.6',
+    'mkdocstrings[python]>=0.29',
+    'ziamath>=0.12',
+]
 # A ROS installation provides these itself; the wheels serve machines without one.
 ROS = ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces']
 
@@ -62,6 +70,7 @@ setup(
         'report': REPORT,
         'cluster': CLUSTER,
         'test': TESTS,
+        'docs': PAGES,
     },
     entry_points={
         'console_scripts': [

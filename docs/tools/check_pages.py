@@ -1,0 +1,564 @@
+"""Checks that what the pages tell people to type exists: commands, options, files, settings, names.
+
+    python docs/tools/check_pages.py [--site SITE] [PAGE ...]
+
+Without arguments: README.md, CONTRIBUTING.md and all pages below docs/. Prints a line for every
+mistake, and ends with status 1 where there is one. Commands are parsed, not run. With ``--site``
+also whether the built pages fetch anything from elsewhere.
+"""
+
+import argparse
+import ast
+import contextlib
+import importlib
+import io
+import re
+import shlex
+import sys
+import tempfile
+import tomllib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from html.parser import HTMLParser
+from importlib.metadata import metadata
+from importlib.util import find_spec
+from itertools import pairwise
+from pathlib import Path
+
+from incremental_mapper.cli.main import COMMANDS, make_parser
+from incremental_mapper.config import Config, Section, Sensor, make_config, read_yaml
+from incremental_mapper.datasets.bags import SETTINGS_FILE
+from incremental_mapper.errors import ConfigError
+from incremental_mapper.selection.strategies import GROUP, strategy_names
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGE = 'incremental_mapper'
+SERVICES = ('flush', 'save_map', 'reset', 'pause')
+OTHERS = ('cd', 'colcon', 'dask', 'export', 'git', 'ls', 'source')
+"""Programs whose arguments are not ours to check."""
+GENERATED = (
+    'api/',
+    'code/files.md',
+    'configuration.md',
+    'development/changelog.md',
+    'development/contributing.md',
+)
+"""Places of links that are made when the site is built."""
+
+FENCE = re.compile(r'^(?P<indent> *)(?P<mark>```+|~~~+) *(?P<language>[\w+-]*)(?P<rest>.*)$')
+CODE_SPAN = re.compile(r'(?<!`)`([^`\n]+)`(?!`)')
+LINK = re.compile(r'(?<!\!)\[[^\]]*\]\(([^)\s#]+)(?:#[^)\s]*)?\)|!\[[^\]]*\]\(([^)\s#]+)')
+NOT_IN_FILE = re.compile(r'^[<*]|://|^mailto:')
+SUFFIXES = re.compile(
+    'bag|bin|cff|cfg|csv|db3|g2o|html|json|mcap|md|parquet|pdf|ply|png|py|rviz|svg|tex|toml|tum|'
+    'xml|yaml'
+)
+"""Endings of files: `map.png` is no setting of the section `map`."""
+ELSEWHERE = re.compile(r'url\([\'"]?((?:https?:)?//[^)\'"]+)')
+MADE = ('out/', 'demo_out/', 'compared/', 'site/', 'calibration/', 'sensor_data/')
+"""Folders that are made, or belong to a data set."""
+SETTING = re.compile(r'^([a-z_]+)\.([A-Za-z_*]+)(\.[A-Za-z_]+)?(?:: (.+))?$')
+PATH = re.compile(r'^[\w.-]+(/[\w.-]+)*(/|\.\w+)$')
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """Something on a page that does not exist."""
+
+    page: str
+    line: int
+    message: str
+
+    def __str__(self) -> str:
+        return f'{self.page}:{self.line}: {self.message}'
+
+
+@dataclass(frozen=True)
+class Block:
+    """A block of code on a page; ``line`` is that of its first line of code."""
+
+    language: str
+    code: str
+    line: int
+
+
+def blocks(text: str) -> Iterator[Block]:
+    """The fenced blocks of a page."""
+    open_mark, language, indent, start = '', '', 0, 0
+    lines: list[str] = []
+    for number, line in enumerate(text.splitlines(), start=1):
+        match = FENCE.match(line)
+        if not open_mark:
+            if match:
+                open_mark, language = match['mark'], match['language']
+                indent, start, lines = len(match['indent']), number + 1, []
+        elif match and match['mark'].startswith(open_mark) and not match['language']:
+            yield Block(language, '\n'.join(lines), start)
+            open_mark = ''
+        else:
+            lines.append(line[indent:] if line[:indent].isspace() else line)
+
+
+def code_spans(text: str) -> Iterator[tuple[int, str]]:
+    """Line and text of the code within sentences."""
+    inside = False
+    for number, line in enumerate(text.splitlines(), start=1):
+        if FENCE.match(line):
+            inside = not inside
+        elif not inside:
+            for match in CODE_SPAN.finditer(line):
+                yield number, match[1]
+
+
+def check_page(text: str, name: str) -> list[Mistake]:
+    """All mistakes of a page."""
+    found: list[Mistake] = []
+
+    def note(line: int, messages: Sequence[str]) -> None:
+        found.extend(Mistake(name, line, message) for message in messages)
+
+    checks: dict[str, Callable[[str], list[str]]] = {
+        'yaml': check_yaml,
+        'python': check_python,
+        'toml': check_toml,
+    }
+    for block in blocks(text):
+        if block.language in ('sh', 'bash'):
+            for line, words in commands(block.code):
+                note(block.line + line, check_command(words))
+        elif block.language == 'text':
+            for line, command in prompted(block.code):
+                note(block.line + line, check_command(command))
+        elif block.language in checks:
+            note(block.line, checks[block.language](block.code))
+        elif not block.language:
+            note(block.line, ['a block without a language; write text if it is no code'])
+    for line, span in code_spans(text):
+        note(line, check_span(span))
+    return found
+
+
+def commands(code: str) -> Iterator[tuple[int, list[str]]]:
+    """Every command of a shell block with its line in it; raises ValueError for open quotes."""
+    lines = code.splitlines()
+    number = 0
+    while number < len(lines):
+        start, text = number, lines[number]
+        while text.endswith('\\') and number + 1 < len(lines):
+            number += 1
+            text = text[:-1] + ' ' + lines[number].strip()
+        number += 1
+        for words in split_command(text.removeprefix('$ ')):
+            yield start, words
+
+
+def prompted(code: str) -> Iterator[tuple[int, list[str]]]:
+    """The commands of a transcript: what stands behind a prompt."""
+    for number, line in enumerate(code.splitlines()):
+        if line.startswith('$ '):
+            for words in split_command(line[2:]):
+                yield number, words
+
+
+def split_command(text: str) -> Iterator[list[str]]:
+    """The simple commands of a line, without comments and settings of the environment."""
+    lexer = shlex.shlex(text, posix=True, punctuation_chars='|;&')
+    lexer.whitespace_split = True
+    lexer.commenters = '#'
+    words: list[str] = []
+    for word in [*lexer, ';']:
+        if word and set(word) <= set('|;&'):
+            while words and re.fullmatch(r'[A-Z_]+=.*', words[0]):
+                words = words[1:]
+            if words:
+                yield words
+            words = []
+        else:
+            words.append(word)
+
+
+def check_command(words: Sequence[str]) -> list[str]:
+    """What is wrong with a command."""
+    program, arguments = Path(words[0]).name, list(words[1:])
+    if program == PACKAGE:
+        return check_mapper(arguments)
+    if program == 'mapper_node':
+        return check_node(arguments)
+    if program in ('python', 'python3'):
+        return check_script(arguments)
+    if program == 'make':
+        return check_make(arguments)
+    if program == 'pip':
+        return check_pip(arguments)
+    if program == 'ros2':
+        return check_ros2(arguments)
+    if program in OTHERS:
+        return []
+    return [f'{words[0]!r} is no program that these pages know']
+
+
+def check_mapper(arguments: Sequence[str]) -> list[str]:
+    """Parse a call of ``incremental_mapper`` with its own parser."""
+    said = io.StringIO()
+    call = shlex.join([PACKAGE, *arguments])
+    with contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()):
+        try:
+            args = make_parser(arguments[0] if arguments else None).parse_args(list(arguments))
+        except SystemExit as end:
+            if end.code in (0, None):
+                return []
+            reason = said.getvalue().strip().splitlines()[-1]
+            return [f'{call!r}: {reason}']
+    files = [getattr(args, 'config', None), getattr(args, 'reference', None)]
+    found = [_missing(str(file)) for file in files if file is not None]
+    if isinstance(getattr(args, 'strategies', None), str):
+        found += [
+            f'{call!r}: {name!r} is no strategy'
+            for name in args.strategies.split(',')
+            if name not in strategy_names()
+        ]
+    return [message for message in found if message]
+
+
+def check_node(arguments: Sequence[str]) -> list[str]:
+    """Parameter files of ``mapper_node`` exist, and its parameters are settings."""
+    found = []
+    for option, value in pairwise(arguments):
+        if option == '--params-file' and Path(value).name != SETTINGS_FILE:
+            found.append(_missing(value))
+        elif option == '-p':
+            name, mark, given = value.partition(':=')
+            found.append('' if mark else f'-p {value!r}: expected NAME:=VALUE')
+            found += check_yaml(_as_yaml(name, given))
+    known = ('--ros-args', '--params-file', '-p', '-r', '--remap')
+    found += [
+        f'mapper_node has no option {word!r}'
+        for word in arguments
+        if word.startswith('-') and word not in known
+    ]
+    return [message for message in found if message]
+
+
+def check_script(arguments: Sequence[str]) -> list[str]:
+    """A Python script exists and knows its options; so does a module after ``-m``."""
+    if not arguments:
+        return []
+    if arguments[0] == '-m':
+        module = arguments[1]
+        return [] if find_spec(module) else [f'no module {module!r}']
+    if arguments[0] == '-c':
+        return []
+    path = ROOT / arguments[0]
+    if not path.is_file():
+        return [f'{arguments[0]} does not exist']
+    text = path.read_text(encoding='utf-8')
+    options = [word.partition('=')[0] for word in arguments[1:] if word.startswith('--')]
+    return [
+        f'{arguments[0]} has no option {option}'
+        for option in options
+        if not re.search(rf"['\"]{re.escape(option)}['\"]", text)
+    ]
+
+
+def check_make(arguments: Sequence[str]) -> list[str]:
+    """Targets and variables of ``make`` are in the Makefile."""
+    text = (ROOT / 'Makefile').read_text(encoding='utf-8')
+    targets = set(re.findall(r'^([a-z_-]+):', text, re.MULTILINE))
+    variables = set(re.findall(r'^([A-Z_]+) *\?=', text, re.MULTILINE))
+    found = []
+    for word in arguments:
+        name, mark, _ = word.partition('=')
+        if mark and name not in variables:
+            found.append(f'the Makefile has no variable {name}')
+        elif not mark and not word.startswith('-') and word not in targets:
+            found.append(f'the Makefile has no target {word!r}')
+    return found
+
+
+def check_pip(arguments: Sequence[str]) -> list[str]:
+    """Extras exist, of this package where it is installed from here or by name."""
+    extras = set(metadata(PACKAGE).get_all('Provides-Extra') or ())
+    found = []
+    for word in arguments:
+        match = re.fullmatch(rf'(?:\.|{PACKAGE})\[([\w,-]+)\]', word)
+        if match:
+            found += [
+                f'{word!r}: no extra {name!r}; there are {", ".join(sorted(extras))}'
+                for name in match[1].split(',')
+                if name not in extras
+            ]
+    return found
+
+
+def check_ros2(arguments: Sequence[str]) -> list[str]:
+    """Services that are called are the node's."""
+    if list(arguments[:2]) == ['service', 'call']:
+        name = Path(arguments[2])
+        if name.parent.name == PACKAGE and name.name not in SERVICES:
+            return [f'the node has no service {name.name!r}']
+    if list(arguments[:1]) == ['run'] and list(arguments[1:3]) != [PACKAGE, 'mapper_node']:
+        return [f'ros2 run {" ".join(arguments[1:])}: expected {PACKAGE} mapper_node']
+    if list(arguments[:1]) == ['run']:
+        return check_node(arguments[3:])
+    return []
+
+
+def check_yaml(code: str) -> list[str]:
+    """A block of settings is what the schema takes."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / 'settings.yaml'
+        path.write_text(code, encoding='utf-8')
+        try:
+            make_config(read_yaml(path), 'settings')
+        except ConfigError as error:
+            return [str(error).replace(f'{path}: ', '')]
+    return []
+
+
+def check_toml(code: str) -> list[str]:
+    """A block of TOML can be read, and entry points name groups that the package asks for."""
+    try:
+        tree = tomllib.loads(code)
+    except tomllib.TOMLDecodeError as error:
+        return [f'no TOML: {error}']
+    groups = tree.get('project', {}).get('entry-points', {})
+    return [f'the package asks for no entry points {name!r}' for name in groups if name != GROUP]
+
+
+def check_python(code: str) -> list[str]:
+    """A block of Python compiles, and what it imports is there."""
+    try:
+        tree = ast.parse(code)
+    except SyntaxError as error:
+        return [f'no Python: {error.msg} in line {error.lineno}']
+    found = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            found += [_unimportable(item.name, None) for item in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            found += [_unimportable(node.module, item.name) for item in node.names]
+    return [message for message in found if message]
+
+
+def check_span(span: str) -> list[str]:
+    """Code within a sentence: a command, a setting, or a file of the package."""
+    first = span.split()[0] if span.split() else ''
+    if first in (PACKAGE, 'make') and len(span.split()) > 1:
+        words = next(split_command(span))
+        if first == PACKAGE and words[1] in COMMANDS and len(words) == 2:
+            return []  # names the command, and calls nothing
+        return check_command(words)
+    if first in ('python', 'pip') and len(span.split()) > 1:
+        return check_command(next(split_command(span)))
+    setting = SETTING.match(span)
+    if setting and setting[1] in Config.model_fields and not SUFFIXES.fullmatch(setting[2]):
+        return _check_setting(setting)
+    if PATH.match(span) and not span.startswith(MADE):
+        return _check_path(span)
+    return []
+
+
+def check_links(text: str, page: Path) -> list[Mistake]:
+    """Links between files lead to files; those of built pages are checked by mkdocs."""
+    found = []
+    for number, line in enumerate(text.splitlines(), start=1):
+        for match in LINK.finditer(CODE_SPAN.sub('', line)):
+            target = match[1] or match[2]
+            if NOT_IN_FILE.search(target) or _is_generated(page.parent / target):
+                continue
+            if not (page.parent / target).exists():
+                name = _shown(page)
+                found.append(Mistake(name, number, f'the link to {target} leads nowhere'))
+    return found
+
+
+def check_refusals(text: str, name: str) -> list[Mistake]:
+    """Every refusal and every reason of a dropped measurement stands on the page of messages."""
+    plain = ' '.join(re.sub(r'[`*\\]', '', text).split())
+    found = []
+    for place, fragment in refusals():
+        if ' '.join(fragment.split()) not in plain:
+            found.append(Mistake(name, 1, f'does not tell of {fragment!r} ({place})'))
+    for place, reason in drop_reasons():
+        if not re.search(rf'\b{re.escape(reason)}\b', plain):
+            found.append(Mistake(name, 1, f'does not tell of the reason {reason!r} ({place})'))
+    return found
+
+
+def refusals() -> Iterator[tuple[str, str]]:
+    """Where the package refuses something, and the longest fixed piece of what it says."""
+    for path, tree in _sources():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call):
+                called = node.exc.func
+                if isinstance(called, ast.Name) and called.id in (
+                    'InputError',
+                    'ConfigError',
+                    'OutputError',
+                ):
+                    fragment = _longest_text(node.exc)
+                    if len(fragment) > 3:
+                        yield f'{path}:{node.lineno}', fragment
+
+
+def drop_reasons() -> Iterator[tuple[str, str]]:
+    """Where a measurement is left out, and the key that it is counted under."""
+    for path, tree in _sources():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+                if node.func.id == 'MeasurementError' and node.args:
+                    yield from _constants(f'{path}:{node.lineno}', node.args[0])
+            elif isinstance(node, ast.Subscript) and isinstance(node.slice, ast.Tuple):
+                value = node.value
+                label = value.attr if isinstance(value, ast.Attribute) else ''
+                label = value.id if isinstance(value, ast.Name) else label
+                if label.strip('_').endswith('drops'):
+                    yield from _constants(f'{path}:{node.lineno}', node.slice.elts[-1])
+
+
+def check_all(pages: Sequence[Path]) -> list[Mistake]:
+    """All mistakes of the pages."""
+    found = []
+    for path in pages:
+        text = path.read_text(encoding='utf-8')
+        found += check_page(text, _shown(path)) + check_links(text, path)
+        if path.name == 'messages.md':
+            found += check_refusals(text, _shown(path))
+    return found
+
+
+class _Fetched(HTMLParser):
+    """Collects what a browser would fetch by itself from elsewhere."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.found: list[tuple[int, str]] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        """See HTMLParser."""
+        given = dict(attrs)
+        place = given.get('src') or (given.get('href') if tag == 'link' else None) or ''
+        canonical = tag == 'link' and given.get('rel') in ('canonical', 'next', 'prev')
+        if place.startswith(('http:', 'https:', '//')) and not canonical:
+            self.found.append((self.getpos()[0], place))
+
+
+def check_site(site: Path) -> list[Mistake]:
+    """No page of the built site fetches anything from elsewhere, nor do its style sheets."""
+    found = []
+    pages = sorted(site.rglob('*.html'))
+    if not pages:
+        return [Mistake(str(site), 1, 'holds no page')]
+    for page in pages:
+        parser = _Fetched()
+        parser.feed(page.read_text(encoding='utf-8'))
+        found += [Mistake(str(page), line, f'fetches {place}') for line, place in parser.found]
+    for sheet in sorted(site.rglob('*.css')):
+        for place in ELSEWHERE.findall(sheet.read_text(encoding='utf-8')):
+            found.append(Mistake(str(sheet), 1, f'fetches {place}'))
+    return found
+
+
+def all_pages() -> list[Path]:
+    """README.md, CONTRIBUTING.md and everything below docs/."""
+    return [ROOT / 'README.md', ROOT / 'CONTRIBUTING.md', *sorted((ROOT / 'docs').rglob('*.md'))]
+
+
+def _sources() -> Iterator[tuple[str, ast.Module]]:
+    for path in sorted((ROOT / PACKAGE).rglob('*.py')):
+        yield str(path.relative_to(ROOT)), ast.parse(path.read_text(encoding='utf-8'))
+
+
+def _longest_text(call: ast.Call) -> str:
+    texts = [
+        node.value
+        for node in ast.walk(call)
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+    ]
+    return max((text.strip(' .:;,()"\'') for text in texts), key=len, default='')
+
+
+def _constants(place: str, node: ast.expr) -> Iterator[tuple[str, str]]:
+    if isinstance(node, ast.Constant) and isinstance(node.value, str):
+        yield place, node.value
+
+
+def _check_setting(setting: re.Match[str]) -> list[str]:
+    section, name, deeper, value = setting.groups()
+    if '*' in name:
+        return []
+    if section == 'lidars':
+        return [] if name == 'names' else _check_sensor(name, deeper)
+    kind = Config.model_fields[section].annotation
+    fields = kind.model_fields if isinstance(kind, type) and issubclass(kind, Section) else {}
+    if name not in fields:
+        return [f'{section}.{name} is no setting; {section} has {", ".join(sorted(fields))}']
+    return [] if value is None else check_yaml(f'{section}:\n  {name}: {value}')
+
+
+def _check_sensor(lidar: str, field: str | None) -> list[str]:
+    if field is None or field[1:] in Sensor.model_fields:
+        return []
+    return [f'lidars.{lidar}{field} is no setting; a LiDAR has {", ".join(Sensor.model_fields)}']
+
+
+def _check_path(span: str) -> list[str]:
+    """A folder, or a file with a folder before it, is below the root or the package."""
+    if '/' not in span:
+        return []
+    places = [ROOT / span, ROOT / PACKAGE / span, ROOT / 'docs' / span]
+    return [] if any(place.exists() for place in places) else [f'{span} does not exist']
+
+
+def _missing(file: str) -> str:
+    """A complaint where a file of the repository is named that is not there."""
+    inside = Path(file).parts[0] in ('config', 'docs', 'examples', 'benchmarks')
+    return f'{file} does not exist' if inside and not (ROOT / file).exists() else ''
+
+
+def _as_yaml(name: str, value: str) -> str:
+    *sections, last = name.split('.')
+    lines = ['  ' * depth + f'{section}:' for depth, section in enumerate(sections)]
+    return '\n'.join([*lines, '  ' * len(sections) + f'{last}: {value}'])
+
+
+def _unimportable(module: str, name: str | None) -> str:
+    try:
+        found = importlib.import_module(module)
+        if name is None or name == '*' or hasattr(found, name):
+            return ''
+        importlib.import_module(f'{module}.{name}')
+    except ImportError as error:
+        return f'cannot import {name or module} ({error})'
+    return ''
+
+
+def _is_generated(target: Path) -> bool:
+    place = target.resolve()
+    docs = ROOT / 'docs'
+    inside = place.relative_to(docs).as_posix() if place.is_relative_to(docs) else ''
+    return bool(inside) and any(inside.startswith(start) for start in GENERATED)
+
+
+def _shown(path: Path) -> str:
+    return str(path.relative_to(ROOT)) if path.is_relative_to(ROOT) else str(path)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Check the pages; returns the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument('pages', type=Path, nargs='*', metavar='PAGE')
+    parser.add_argument('--site', type=Path, metavar='DIR', help='the built site, to check as well')
+    args = parser.parse_args(arguments)
+    pages = [path.resolve() for path in args.pages] or all_pages()
+    mistakes = check_all(pages)
+    if args.site is not None:
+        mistakes += check_site(args.site)
+    for mistake in mistakes:
+        print(mistake, file=sys.stderr)
+    print(f'{len(pages)} pages, {len(mistakes)} mistakes')
+    return 1 if mistakes else 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())
