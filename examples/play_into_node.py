@@ -24,7 +24,8 @@ from incremental_mapper.config import read_yaml
 from incremental_mapper.datasets.bags import SETTINGS_FILE
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.errors import InputError, MapperError
-from incremental_mapper.evaluation.graph_comparison import TOLERANCE, compare_graphs, read_graph
+from incremental_mapper.results.graph_json import TOLERANCE, compare_graphs
+from incremental_mapper.results.run_folder import FinishedRun
 from incremental_mapper.ros.client import Heard, NodeClient, open_client
 from incremental_mapper.ros.programs import (
     free_domain,
@@ -112,7 +113,7 @@ def compare(wanted: Wanted, rate: float) -> int:
 
 def tell(saved: Path, made_by_map: Path) -> int:
     """Say whether two saved maps have the same graph; returns the exit status."""
-    found = compare_graphs(read_graph(saved), read_graph(made_by_map))
+    found = compare_graphs(FinishedRun(saved).graph, FinishedRun(made_by_map).graph)
     for difference in found.differences:
         say('DIFFERENT', difference)
     if found.differences:

@@ -30,10 +30,10 @@ from visualization_msgs.msg import MarkerArray
 from incremental_mapper.config import merge, read_yaml
 from incremental_mapper.datasets.bags import SETTINGS_FILE
 from incremental_mapper.datasets.open import open_source
-from incremental_mapper.evaluation.graph_comparison import compare_graphs, read_graph
 from incremental_mapper.measurements import NANOSECONDS
-from incremental_mapper.results.graph_json import graph_tree
+from incremental_mapper.results.graph_json import compare_graphs, graph_tree
 from incremental_mapper.results.offline_run import effective_config, map_source
+from incremental_mapper.results.run_folder import FinishedRun
 from incremental_mapper.ros.node import MapperNode
 from incremental_mapper.ros.programs import free_domain
 from incremental_mapper.ros.result_messages import read_status
@@ -292,7 +292,7 @@ def assert_same_graph(folder, run):
     result = run.result
     graph = graph_tree(result.clusters, result.factors, result.values)
     # Tuples become lists as in the file.
-    found = compare_graphs(read_graph(folder), json.loads(json.dumps(graph)))
+    found = compare_graphs(FinishedRun(folder).graph, json.loads(json.dumps(graph)))
     assert found.differences == ()
 
 

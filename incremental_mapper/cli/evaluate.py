@@ -15,13 +15,12 @@ from incremental_mapper.config import Tree, make_config, merge, read_yaml
 from incremental_mapper.datasets.open import read_truth
 from incremental_mapper.errors import ConfigError
 from incremental_mapper.evaluation.campaign import Plan, evaluate, prepare_out_dir, unfinished
-from incremental_mapper.evaluation.evaluation_files import Reference, write_tables
 from incremental_mapper.evaluation.jobs import Job, Outcome, Status, plan_jobs
 from incremental_mapper.evaluation.record import Evaluation
-from incremental_mapper.evaluation.table_csv import read_csv
-from incremental_mapper.evaluation.table_formats import plain_table
+from incremental_mapper.evaluation.table_files import Reference, read_csv, write_tables
+from incremental_mapper.evaluation.table_text import plain_table
 from incremental_mapper.evaluation.workers import ClusterWorkers, LocalWorkers, Workers
-from incremental_mapper.scoring.strategies import strategy_names
+from incremental_mapper.selection.strategies import strategy_names
 
 STRATEGIES = 'base,mom,min_time_shift,min_solver_error'
 DEFAULT_WIDTH = 100

@@ -10,7 +10,7 @@ touching either do not occur in practice. ``--force`` runs everything again.
 
 import hashlib
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -23,9 +23,8 @@ from incremental_mapper.results.run_statistics import versions
 MARK = 'finished.json'
 TRUTH_FILE = 'truth.tum'
 """True poses of a sequence, beside the folders of its runs."""
-UNRELATED = ('cli', 'ros', 'evaluation')
-"""Parts of the package that no number of a run depends on, but for ``RELATED``."""
-RELATED = ('evaluation/run.py', 'evaluation/trajectory_error.py')
+IDLE_ROOMS = ('cli', 'ros', 'evaluation', 'visualization')
+"""Rooms of the package that no number of a run depends on; pictures may be of an older look."""
 
 
 def digest(tree: Any) -> str:
@@ -48,9 +47,11 @@ def file_fingerprint(path: Path | None) -> str:
     return digest([] if path is None or not path.is_file() else [_fact(path, path.parent)])
 
 
-def code_fingerprint(files: Iterable[Path]) -> str:
-    """Fingerprint of the contents of source files."""
-    return hashlib.sha256(b''.join(path.read_bytes() for path in files)).hexdigest()[:16]
+def code_fingerprint(root: Path, files: Sequence[Path]) -> str:
+    """Fingerprint of the names below ``root`` and the contents of source files."""
+    names = [path.relative_to(root).as_posix() for path in files]
+    contents = [hashlib.sha256(path.read_bytes()).hexdigest() for path in files]
+    return digest(list(zip(names, contents, strict=True)))[:16]
 
 
 @cache
@@ -64,10 +65,9 @@ def program() -> dict[str, str]:
     files = [
         path
         for path in sorted(root.rglob('*.py'))
-        if path.relative_to(root).parts[0] not in UNRELATED
-        or path.relative_to(root).as_posix() in RELATED
+        if path.relative_to(root).parts[0] not in IDLE_ROOMS
     ]
-    return versions() | {'code': code_fingerprint(files)}
+    return versions() | {'code': code_fingerprint(root, files)}
 
 
 def is_finished(folder: Path, key: str) -> bool:

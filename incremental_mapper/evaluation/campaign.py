@@ -11,9 +11,8 @@ from incremental_mapper.datasets.truth import read_truth
 from incremental_mapper.errors import OutputError
 from incremental_mapper.evaluation import cache
 from incremental_mapper.evaluation.jobs import Job, Outcome, Status, run_job
-from incremental_mapper.evaluation.metrics import drive_metrics
-from incremental_mapper.evaluation.motion_metrics import motion_metrics
-from incremental_mapper.evaluation.quality_jobs import QualityJob, run_quality_job, stored_quality
+from incremental_mapper.evaluation.map_quality import QualityJob, run_quality_job, stored_quality
+from incremental_mapper.evaluation.metrics import drive_metrics, motion_metrics
 from incremental_mapper.evaluation.record import (
     RECORD_FILE,
     Evaluation,

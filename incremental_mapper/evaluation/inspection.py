@@ -70,12 +70,12 @@ def why(rows: Sequence[Row], cut: bool, strategy: str) -> list[str]:
     if winner['score_name'] == 'base':
         reasons = [f'{name} won unseen: {strategy} always takes one cluster a measurement.']
         if not winner['connected']:
-            reasons.append('It is not connected; weak priors hold its loose parts in place.')
+            reasons.append('It is not connected; regularising priors hold its components in place.')
         return reasons
     if winner['score_name'] == 'bridged':
         return [
-            f'{name} was taken because nothing had connected for too long: loose ties bridge '
-            'what its factors leave unconnected.'
+            f'{name} was taken because nothing had connected for too long: bridge '
+            'factors join what its own leave unconnected.'
         ]
     scored = sorted((row for row in rows if row['score'] is not None), key=_rank)
     if winner['score'] is None:
@@ -99,7 +99,7 @@ def why(rows: Sequence[Row], cut: bool, strategy: str) -> list[str]:
 
 
 def _told_apart(winner: Row, tied: Sequence[Row]) -> str:
-    """Which of the rules for equal scores decided; they are those of ``mapper/selection.py``."""
+    """Which of the rules for equal scores decided; they are those of ``selection/``."""
     vertices, clusters = winner['vertices'], len(winner['clusters'])
     alike = [row for row in tied if row['vertices'] == vertices]
     if not alike:

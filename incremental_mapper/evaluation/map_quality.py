@@ -3,9 +3,12 @@
 Two numbers: how far its points are from the base map, and how thick its planes are. Both maps
 may be georeferenced a little differently, so the map is first moved by the rigid transform that
 brings its trajectory onto the base trajectory.
+
+What was found lies beside the map, and is not computed again while the maps are the same.
 """
 
-from dataclasses import dataclass
+import json
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +17,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from incremental_mapper.config import MomSettings
+from incremental_mapper.evaluation import cache
 from incremental_mapper.geometry import transform_points
 from incremental_mapper.results.run_folder import FinishedRun
 from incremental_mapper.scoring.eigen import smallest_eigen
@@ -22,6 +26,7 @@ from incremental_mapper.scoring.neighbourhoods import moments_around
 from incremental_mapper.scoring.plane_families import spread_positions
 from incremental_mapper.trajectory import Trajectory
 
+QUALITY_FILE = 'map_quality.json'
 PLACES = 4000
 """Places of the base map at which planes are looked at; more do not change the mean."""
 
@@ -39,12 +44,44 @@ class MapQuality:
     plane_variance_m2: float | None
 
 
+@dataclass(frozen=True, slots=True)
+class QualityJob:
+    """The folder of a finished run, and that of the base run of the same sequence, if any."""
+
+    folder: Path
+    base: Path | None
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedMap:
     """Map points (N, 3) and the trajectory that they were placed by, in one frame."""
 
     points: NDArray[np.float64]
     trajectory: Trajectory
+
+
+def stored_quality(job: QualityJob) -> MapQuality | None:
+    """What an earlier call found; None where the maps or the comparison have changed since."""
+    try:
+        stored = json.loads((job.folder / QUALITY_FILE).read_text(encoding='utf-8'))
+        return MapQuality(**stored['quality']) if stored['key'] == _key(job) else None
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def run_quality_job(job: QualityJob) -> MapQuality:
+    """Compare the maps and store what was found.
+
+    Raises:
+        MapperError: A file of one of the runs cannot be read.
+    """
+    settings = MomSettings.model_validate(FinishedRun(job.folder).stats['settings']['mom'])
+    own = read_map(job.folder)
+    base = None if job.base is None else own if job.base == job.folder else read_map(job.base)
+    quality = compare_maps(own, base, settings)
+    stored = {'key': _key(job), 'quality': asdict(quality)}
+    cache.write_json(job.folder / QUALITY_FILE, stored)
+    return quality
 
 
 def read_map(folder: Path) -> PlacedMap:
@@ -54,9 +91,13 @@ def read_map(folder: Path) -> PlacedMap:
 
 
 def compare_maps(own: PlacedMap, base: PlacedMap | None, settings: MomSettings) -> MapQuality:
-    """Compare a map with the base map; radius and planarity are those of the MOM settings.
+    """Compare a map with the base map.
 
-    Without a base map there is no distance, and the map's own planes are looked at.
+    Args:
+        own: The map to be judged.
+        base: The base map; without it there is no distance, and the map's own planes are
+            looked at.
+        settings: Radius (m), planarity and least number of neighbours are those of MOM.
     """
     points, distance = own.points, None
     reference = own if base is None else base
@@ -118,3 +159,10 @@ def _neighbourhoods(
     """Numbers of neighbours (P,) and covariances (6, P) of ``places``."""
     moments = moments_around(points, places, radius)
     return moments[COUNT], covariances(moments)
+
+
+def _key(job: QualityJob) -> str:
+    # The mark is written anew by every run, so its time tells of a run that was forced.
+    marks = [folder and folder / cache.MARK for folder in (job.folder, job.base)]
+    code = cache.code_fingerprint(Path(__file__).parent, [Path(__file__)])
+    return cache.digest([*map(cache.file_fingerprint, marks), code])

@@ -1,4 +1,4 @@
-"""``evaluation.json``: what an evaluation ran and found, for the report and other programs.
+"""``evaluation.json``: what an evaluation ran and found; written, and read back by the report.
 
     format      1
     command     the command line that made it
@@ -27,22 +27,28 @@ Paths are relative to the folder of ``evaluation.json``, inputs absolute. Each j
 the files of a ``map`` run; ``truth.tum`` lies beside the folders of a sequence's strategies.
 """
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from incremental_mapper.config import Tree
+from incremental_mapper.errors import InputError
 from incremental_mapper.evaluation import cache
 from incremental_mapper.evaluation.jobs import Job, Outcome, Status
 from incremental_mapper.evaluation.metrics import Metrics
 from incremental_mapper.evaluation.segments import Motion, Segment, motion_of_name
-from incremental_mapper.evaluation.table import ROWS, Entry
+from incremental_mapper.evaluation.table import BASE, ROWS, Entry
 from incremental_mapper.results.run_folder import FinishedRun
+from incremental_mapper.trajectory import Trajectory, read_tum
 
 RECORD_FILE = 'evaluation.json'
 FORMAT = 1
+METHOD = 'mom'
+"""The strategy that pictures and summaries speak of where it was run."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,17 +89,26 @@ class Evaluation:
 
 
 def write_record(evaluation: Evaluation) -> Path:
-    """Write ``evaluation.json``; returns its path."""
+    """Write ``evaluation.json``; returns its path.
+
+    Raises:
+        OSError: It cannot be written.
+    """
     path = evaluation.out_dir / RECORD_FILE
     cache.write_json(path, _tree(evaluation))
     return path
 
 
 def entries(evaluation: Evaluation, by_motion: bool) -> list[Entry]:
-    """The table's entries: whole drives, or the pieces of each motion.
+    """The table's entries, motion by motion in the paper's order.
 
-    Motion by motion in the paper's order. A failed job has an entry without numbers, which goes
-    with each motion of its sequence.
+    Args:
+        evaluation: What was run and found.
+        by_motion: Whether entries are the pieces of each motion, instead of whole drives.
+
+    Returns:
+        An entry for each job; a failed one has no numbers, and goes with each motion of its
+        sequence.
     """
     made = []
     for outcome, found in zip(evaluation.outcomes, evaluation.found, strict=True):
@@ -110,6 +125,102 @@ def entries(evaluation: Evaluation, by_motion: bool) -> list[Entry]:
             made.append(Entry(job.sequence, motion, job.strategy, metrics, outcome.error))
     order = [*Motion, None]
     return sorted(made, key=lambda entry: order.index(entry.motion))
+
+
+@dataclass(frozen=True)
+class RecordedSequence:
+    """One input of the evaluation: its jobs by strategy, and its truth where it has one."""
+
+    out_dir: Path
+    record: Mapping[str, Any]
+    jobs: Mapping[str, Mapping[str, Any]]
+
+    @property
+    def name(self) -> str:
+        """What the evaluation calls it."""
+        return str(self.record['name'])
+
+    @cached_property
+    def runs(self) -> dict[str, FinishedRun]:
+        """Its finished runs by strategy, in the order of the table."""
+        return {
+            strategy: FinishedRun(self.out_dir / job['folder'])
+            for strategy, job in self.jobs.items()
+            if job['status'] == Status.DONE
+        }
+
+    @property
+    def lead(self) -> str | None:
+        """The strategy that pictures show: the method if it is there, else not base if possible."""
+        others = [name for name in self.runs if name != BASE]
+        return METHOD if METHOD in self.runs else next(iter([*others, *self.runs]), None)
+
+    @cached_property
+    def truth(self) -> Trajectory | None:
+        """The true trajectory."""
+        path = self.record['truth']
+        return None if path is None else read_tum(self.out_dir / path)
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedEvaluation:
+    """Everything of ``evaluation.json``: its tree, and its sequences with their runs."""
+
+    record: Mapping[str, Any]
+    sequences: tuple[RecordedSequence, ...]
+
+    @property
+    def strategies(self) -> tuple[str, ...]:
+        """Names in the order of the table."""
+        return tuple(self.record['strategies'])
+
+    def entries(self) -> list[Entry]:
+        """The table's entries, whole drives."""
+        return [
+            Entry(
+                job['sequence'],
+                _recorded_motion(sequence),
+                job['strategy'],
+                job['metrics'],
+                job['error'],
+            )
+            for sequence in self.sequences
+            for job in sequence.jobs.values()
+        ]
+
+    def motion_entries(self) -> list[Entry]:
+        """The table's entries, pieces of drives by motion; none where drives were not cut."""
+        return [
+            Entry(job['sequence'], Motion(motion), job['strategy'], metrics, job['error'])
+            for sequence in self.sequences
+            for job in sequence.jobs.values()
+            for motion, metrics in job['by_motion'].items()
+        ]
+
+
+def read_record(out_dir: Path) -> RecordedEvaluation:
+    """Read an evaluation back from its folder; files of its runs are read when they are asked for.
+
+    Raises:
+        InputError: The folder holds no evaluation.
+    """
+    path = out_dir / RECORD_FILE
+    try:
+        record = json.loads(path.read_text(encoding='utf-8'))
+        names = [sequence['name'] for sequence in record['sequences']]
+        jobs: dict[str, dict[str, Any]] = {name: {} for name in names}
+        for job in record['jobs']:
+            jobs[job['sequence']][job['strategy']] = job
+        sequences = tuple(
+            RecordedSequence(out_dir, sequence, jobs[sequence['name']])
+            for sequence in record['sequences']
+        )
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            f'{path}: is no record of "incremental_mapper evaluate" ({type(error).__name__}: '
+            f'{error})'
+        ) from error
+    return RecordedEvaluation(record, sequences)
 
 
 def _tree(evaluation: Evaluation) -> dict[str, Any]:
@@ -185,3 +296,8 @@ def _job(out_dir: Path, outcome: Outcome, found: Found) -> dict[str, Any]:
 
 def _stats(job: Job) -> Mapping[str, Any]:
     return FinishedRun(job.folder).stats
+
+
+def _recorded_motion(sequence: RecordedSequence) -> Motion | None:
+    motion = sequence.record['motion']
+    return None if motion is None else Motion(motion)

@@ -1,6 +1,6 @@
 """The paper's table: which rows it has, in which order, and what is marked in it.
 
-``table_formats`` prints it, ``table_csv`` writes its numbers for programs.
+``table_text`` prints it, ``table_files`` writes its files.
 """
 
 from collections.abc import Iterable, Mapping, Sequence

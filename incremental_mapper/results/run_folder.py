@@ -109,12 +109,12 @@ class FinishedRun:
     @cached_property
     def stats(self) -> Record:
         """The keys of stats.json."""
-        return self._json(STATISTICS, 'strategy')
+        return self._json(STATISTICS, {'strategy'})
 
     @cached_property
     def graph(self) -> Record:
         """The layout of graph.json, see ``graph_json.graph_tree``."""
-        return self._json(GRAPH, 'clusters')
+        return self._json(GRAPH, {'clusters', 'variables', 'factors'})
 
     @cached_property
     def windows(self) -> Sequence[Mapping[str, str]]:
@@ -189,13 +189,13 @@ class FinishedRun:
         """Start and end (ns) of a stretch worth drawing; see ``typical_stretch``."""
         return typical_stretch(self.graph, seconds)
 
-    def _json(self, name: str, key: str) -> Record:
+    def _json(self, name: str, keys: set[str]) -> Record:
         path = self._path(name)
         try:
             tree = json.loads(path.read_text(encoding='utf-8'))
         except (OSError, ValueError) as error:
             raise InputError(f'{path}: cannot be read ({error})') from error
-        if not isinstance(tree, dict) or key not in tree:
+        if not isinstance(tree, dict) or not keys <= tree.keys():
             raise InputError(f'{path}: is not what "incremental_mapper map" writes')
         return tree
 

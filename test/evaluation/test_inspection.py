@@ -80,9 +80,9 @@ MERGED = [[{'stamp_ns': 1}, {'stamp_ns': 2}]]
         ([row(0, winner=True, score_name='base')], ['won unseen', 'one cluster a measurement']),
         (
             [row(0, winner=True, score_name='base', connected=False)],
-            ['not connected', 'weak priors'],
+            ['not connected', 'regularising priors'],
         ),
-        ([row(0, winner=True, score_name='bridged', connected=False)], ['loose ties']),
+        ([row(0, winner=True, score_name='bridged', connected=False)], ['bridge factors']),
     ],
 )
 def test_reasons(rows, words):

@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 
-from incremental_mapper.evaluation.motion_metrics import motion_metrics
+from incremental_mapper.evaluation.metrics import motion_metrics
 from incremental_mapper.evaluation.segments import Motion, Segment
 from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.results.run_folder import FinishedRun

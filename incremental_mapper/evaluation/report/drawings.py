@@ -4,8 +4,8 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from incremental_mapper.evaluation.record import RecordedSequence
 from incremental_mapper.evaluation.report.charts import progress_figure
-from incremental_mapper.evaluation.report.contents import Sequence
 from incremental_mapper.evaluation.table import BASE
 from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.results.run_folder import FinishedRun
@@ -49,7 +49,7 @@ class Swatch:
 
 
 def sequence_pictures(
-    sequence: Sequence, strategies: tuple[str, ...], number: int
+    sequence: RecordedSequence, strategies: tuple[str, ...], number: int
 ) -> Iterator[Picture]:
     """Trajectory, map from above and from the side, and the course of the numbers.
 
@@ -91,7 +91,7 @@ def sequence_pictures(
     )
 
 
-def graph_stretches(sequence: Sequence, number: int) -> Iterator[Stretch]:
+def graph_stretches(sequence: RecordedSequence, number: int) -> Iterator[Stretch]:
     """The graphs of base and of the lead: a typical stretch, and one where base is unconnected."""
     lead = sequence.lead
     if lead is None:
@@ -110,7 +110,7 @@ def graph_stretches(sequence: Sequence, number: int) -> Iterator[Stretch]:
 
 
 def _stretch(
-    sequence: Sequence, lead: str, place: str, heading: str, span: tuple[int, int]
+    sequence: RecordedSequence, lead: str, place: str, heading: str, span: tuple[int, int]
 ) -> Stretch:
     origin = sequence.runs[lead].first_stamp
     pictures = []
@@ -135,7 +135,7 @@ def _unconnected_stamps(run: FinishedRun) -> list[int]:
     return [item['stamp_ns'] for item in run.graph['variables'] if item['key'] in unconnected]
 
 
-def graph_swatches(sequences: tuple[Sequence, ...]) -> list[Swatch]:
+def graph_swatches(sequences: tuple[RecordedSequence, ...]) -> list[Swatch]:
     """What the graph pictures of all sequences show, each thing once."""
     graphs = [
         sequence.runs[name].graph
@@ -153,7 +153,7 @@ def _plain(name: str) -> str:
     return re.sub(r'\W', '', name)
 
 
-def drive_seconds(sequence: Sequence) -> float:
+def drive_seconds(sequence: RecordedSequence) -> float:
     """Length of a drive in seconds, 0 where no run has finished."""
     if sequence.lead is None:
         return 0.0

@@ -3,8 +3,7 @@
 Importing this needs jinja2 and matplotlib, which come with the extra ``report``.
 """
 
-from collections.abc import Mapping
-from collections.abc import Sequence as Ordered
+from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -13,9 +12,9 @@ import yaml
 from jinja2 import Environment, StrictUndefined
 
 from incremental_mapper.errors import OutputError
+from incremental_mapper.evaluation.record import RecordedEvaluation, RecordedSequence, read_record
 from incremental_mapper.evaluation.report import words
 from incremental_mapper.evaluation.report.charts import strategy_colours
-from incremental_mapper.evaluation.report.contents import Contents, Sequence, read_contents
 from incremental_mapper.evaluation.report.drawings import (
     Swatch,
     drive_seconds,
@@ -43,11 +42,11 @@ def write_report(out_dir: Path) -> Path:
     Raises InputError where the folder holds no evaluation, OutputError where the page cannot be
     written.
     """
-    contents = read_contents(out_dir)
+    evaluation = read_record(out_dir)
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    page = environment.from_string(_resource(TEMPLATE)).render(_context(contents))
+    page = environment.from_string(_resource(TEMPLATE)).render(_context(evaluation))
     path = out_dir / FILE_NAME
     partial = path.with_name(f'.{path.name}.partial')
     try:
@@ -58,19 +57,19 @@ def write_report(out_dir: Path) -> Path:
     return path
 
 
-def _context(contents: Contents) -> dict[str, Any]:
+def _context(evaluation: RecordedEvaluation) -> dict[str, Any]:
     """What the template is filled with."""
-    record, lead = contents.record, words.lead_strategy(contents)
-    strategies = contents.strategies
-    failures = words.failures(contents)
+    record, lead = evaluation.record, words.lead_strategy(evaluation)
+    strategies = evaluation.strategies
+    failures = words.failures(evaluation)
     # The page tells of failures by itself.
     remarks = [
         remark
         for remark in record['remarks']
         if not any(reason in remark for _, _, reason in failures)
     ]
-    tables = [('By drive', _tables(make_table(contents.entries(), strategies, remarks)))]
-    pieces = contents.motion_entries()
+    tables = [('By drive', _tables(make_table(evaluation.entries(), strategies, remarks)))]
+    pieces = evaluation.motion_entries()
     if pieces:
         tables.append(('By motion', _tables(make_table(pieces, strategies))))
     colours = strategy_colours(strategies, PAGE)
@@ -84,22 +83,24 @@ def _context(contents: Contents) -> dict[str, Any]:
             for name in strategies
         ],
         'lead': lead,
-        'what_ran': words.what_ran(contents),
-        'verdict': [] if lead is None else words.verdict(contents, lead),
-        'tiles': [] if lead is None else words.tiles(contents, lead),
+        'what_ran': words.what_ran(evaluation),
+        'verdict': [] if lead is None else words.verdict(evaluation, lead),
+        'tiles': [] if lead is None else words.tiles(evaluation, lead),
         'failures': failures,
         'tables': tables,
-        'graph_legend': graph_swatches(contents.sequences) if lead is not None else [],
+        'graph_legend': graph_swatches(evaluation.sequences) if lead is not None else [],
         'sequences': [
-            _section(contents, sequence, number)
-            for number, sequence in enumerate(contents.sequences, start=1)
+            _section(evaluation, sequence, number)
+            for number, sequence in enumerate(evaluation.sequences, start=1)
         ],
         'settings': _yaml(record['settings']),
-        'effective': _effective(contents, lead),
+        'effective': _effective(evaluation, lead),
     }
 
 
-def _section(contents: Contents, sequence: Sequence, number: int) -> dict[str, Any]:
+def _section(
+    evaluation: RecordedEvaluation, sequence: RecordedSequence, number: int
+) -> dict[str, Any]:
     """One drive of the page."""
     return {
         'number': number,
@@ -108,17 +109,17 @@ def _section(contents: Contents, sequence: Sequence, number: int) -> dict[str, A
         'kind': sequence.record['kind'],
         'seconds': drive_seconds(sequence),
         'facts': [] if sequence.lead is None else _facts(sequence, sequence.lead),
-        'pictures': list(sequence_pictures(sequence, contents.strategies, number)),
+        'pictures': list(sequence_pictures(sequence, evaluation.strategies, number)),
         'stretches': list(graph_stretches(sequence, number)),
         'failures': [
             (strategy, reason)
-            for name, strategy, reason in words.failures(contents)
+            for name, strategy, reason in words.failures(evaluation)
             if name == sequence.name
         ],
     }
 
 
-def _facts(sequence: Sequence, lead: str) -> list[tuple[str, str]]:
+def _facts(sequence: RecordedSequence, lead: str) -> list[tuple[str, str]]:
     metrics = sequence.jobs[lead]['metrics']
     rows = {row.name: row for row in ROWS}
     wanted = (
@@ -138,7 +139,7 @@ def _tables(table: Table) -> dict[str, Any]:
     """The table turned: a line for each drive and strategy, a column for each of its rows."""
     places = {row.name: index for index, row in enumerate(ROWS)}
 
-    def part(rows: Ordered[Row]) -> dict[str, Any]:
+    def part(rows: Sequence[Row]) -> dict[str, Any]:
         return {
             # A unit stays beside its name.
             'titles': [row.title.replace(', ', ',\N{NO-BREAK SPACE}') for row in rows],
@@ -163,9 +164,9 @@ def _tables(table: Table) -> dict[str, Any]:
     return {'paper': part(PAPER_ROWS), 'beside': part(FURTHER_ROWS), 'remarks': table.remarks}
 
 
-def _effective(contents: Contents, lead: str | None) -> str:
+def _effective(evaluation: RecordedEvaluation, lead: str | None) -> str:
     """All settings of one run of the lead; inputs differ in what they bring themselves."""
-    for sequence in contents.sequences:
+    for sequence in evaluation.sequences:
         if lead in sequence.runs and sequence.jobs[lead]['settings']:
             return _yaml(sequence.jobs[lead]['settings'])
     return ''

@@ -1,10 +1,10 @@
 """The summary in words and the few numbers that it rests on."""
 
-from collections.abc import Sequence as Ordered
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from incremental_mapper.evaluation.metrics import Metrics
-from incremental_mapper.evaluation.report.contents import METHOD, Contents, Sequence
+from incremental_mapper.evaluation.record import METHOD, RecordedEvaluation, RecordedSequence
 from incremental_mapper.evaluation.report.drawings import drive_seconds
 from incremental_mapper.evaluation.table import BASE, Entry, mean_metrics
 
@@ -21,36 +21,36 @@ class Tile:
     beside: str = ''
 
 
-def what_ran(contents: Contents) -> str:
+def what_ran(evaluation: RecordedEvaluation) -> str:
     """One sentence on the inputs."""
-    done = [sequence for sequence in contents.sequences if sequence.runs]
+    done = [sequence for sequence in evaluation.sequences if sequence.runs]
     seconds = sum(map(drive_seconds, done))
     kinds = sorted({str(sequence.record['kind']) for sequence in done})
     text = (
-        f'{_count(len(contents.sequences), "drive")} ({", ".join(kinds) or "none readable"}), '
+        f'{_count(len(evaluation.sequences), "drive")} ({", ".join(kinds) or "none readable"}), '
         f'{seconds:.1f} s together, each mapped with '
-        f'{_count(len(contents.strategies), "strategy", "strategies")}: '
-        f'{", ".join(contents.strategies)}.'
+        f'{_count(len(evaluation.strategies), "strategy", "strategies")}: '
+        f'{", ".join(evaluation.strategies)}.'
     )
-    failed = sum(len(sequence.jobs) - len(sequence.runs) for sequence in contents.sequences)
+    failed = sum(len(sequence.jobs) - len(sequence.runs) for sequence in evaluation.sequences)
     if failed:
         text += f' {_count(failed, "run")} failed.'
     return text
 
 
-def lead_strategy(contents: Contents) -> str | None:
+def lead_strategy(evaluation: RecordedEvaluation) -> str | None:
     """The strategy that the summary speaks of."""
-    finished = {name for sequence in contents.sequences for name in sequence.runs}
-    order = [METHOD, *(name for name in contents.strategies if name != BASE), BASE]
+    finished = {name for sequence in evaluation.sequences for name in sequence.runs}
+    order = [METHOD, *(name for name in evaluation.strategies if name != BASE), BASE]
     return next((name for name in order if name in finished), None)
 
 
-def tiles(contents: Contents, lead: str) -> list[Tile]:
+def tiles(evaluation: RecordedEvaluation, lead: str) -> list[Tile]:
     """The numbers of the lead, beside those of base; means over the drives."""
     found: dict[str, dict[str, Entry]] = {}
-    for entry in contents.entries():
+    for entry in evaluation.entries():
         found.setdefault(entry.sequence, {})[entry.strategy] = entry
-    pair = [lead, BASE] if BASE in contents.strategies and lead != BASE else [lead]
+    pair = [lead, BASE] if BASE in evaluation.strategies and lead != BASE else [lead]
     means = mean_metrics(list(found.values()), pair)
     own, base = means[0], (means[1] if len(means) > 1 else {})
     made = []
@@ -77,15 +77,15 @@ def tiles(contents: Contents, lead: str) -> list[Tile]:
     return made
 
 
-def verdict(contents: Contents, lead: str) -> list[str]:
+def verdict(evaluation: RecordedEvaluation, lead: str) -> list[str]:
     """Sentences that say what the numbers mean."""
     found: dict[str, dict[str, Entry]] = {}
-    for entry in contents.entries():
+    for entry in evaluation.entries():
         found.setdefault(entry.sequence, {})[entry.strategy] = entry
     if lead == BASE:
-        return [_connected(contents.sequences, BASE)]
+        return [_connected(evaluation.sequences, BASE)]
     told = []
-    both = BASE in contents.strategies
+    both = BASE in evaluation.strategies
     own, base = (
         mean_metrics(list(found.values()), [lead, BASE])
         if both
@@ -95,14 +95,14 @@ def verdict(contents: Contents, lead: str) -> list[str]:
     if saving is not None:
         told.append(f'{lead} keeps {saving:.1f} % fewer variables than base.')
     told += _errors(own, base)
-    told += [_connected(contents.sequences, name) for name in ([lead, BASE] if both else [lead])]
+    told += [_connected(evaluation.sequences, name) for name in ([lead, BASE] if both else [lead])]
     return told
 
 
-def failures(contents: Contents) -> list[tuple[str, str, str]]:
+def failures(evaluation: RecordedEvaluation) -> list[tuple[str, str, str]]:
     """Sequence, strategies and reason of the runs that are not done."""
     found: dict[tuple[str, str], list[str]] = {}
-    for sequence in contents.sequences:
+    for sequence in evaluation.sequences:
         for strategy, job in sequence.jobs.items():
             if strategy not in sequence.runs:
                 reason = str(job['error'] or job['status'])
@@ -127,7 +127,7 @@ def _errors(own: Metrics, base: Metrics) -> list[str]:
     return [f'Its relative pose error is {value:.4f} m, {judged} that of base ({other:.4f} m).']
 
 
-def _connected(sequences: Ordered[Sequence], strategy: str) -> str:
+def _connected(sequences: Sequence[RecordedSequence], strategy: str) -> str:
     runs = [sequence.runs[strategy] for sequence in sequences if strategy in sequence.runs]
     whole = sum(run.stats.get('components') == 1 for run in runs)
     if whole == len(runs):

@@ -6,7 +6,8 @@ import json
 import pytest
 
 from incremental_mapper.errors import InputError
-from incremental_mapper.evaluation.graph_comparison import compare_graphs, read_graph
+from incremental_mapper.results.graph_json import compare_graphs
+from incremental_mapper.results.run_folder import FinishedRun
 
 
 @pytest.fixture(scope='module')
@@ -98,9 +99,9 @@ def test_what_is_no_graph_is_refused(tmp_path, text):
     if text is not None:
         (tmp_path / 'graph.json').write_text(text)
     with pytest.raises(InputError, match=r'graph\.json'):
-        read_graph(tmp_path)
+        FinishedRun(tmp_path).graph  # noqa: B018 (reads the file)
 
 
 def test_graph_of_a_run_is_read(map_light, light_drive):
     done = map_light(light_drive)
-    assert read_graph(done.folder) == done.graph
+    assert FinishedRun(done.folder).graph == done.graph
