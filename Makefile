@@ -5,6 +5,7 @@ DEMO_DIR ?= demo_out
 TIMING ?= kaist_timing
 TABLE_DIR ?= table_out
 BENCH_DIR ?= bench_out
+PICTURES_DIR ?= pictures_out
 BENCH_LONG ?= 600
 BENCH_HOUR ?= 60
 TABLE_CONFIG ?= config/kaist.yaml
@@ -15,7 +16,7 @@ INSTALLED := .venv/.installed
 MAPPER := $(BIN)/incremental_mapper
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help install demo table bench test lint types check format clean
+.PHONY: help install demo table bench test lint types check format docs pictures clean
 
 help:
 	@echo 'make demo    simulate a drive of DEMO_SECONDS ($(DEMO_SECONDS)) seconds, map it, draw it, play it'
@@ -29,7 +30,9 @@ help:
 	@echo 'make types   mypy'
 	@echo 'make check   lint, types and test'
 	@echo 'make format  let ruff mend formatting and imports'
-	@echo 'make clean   remove .venv, caches and the output of demo, table and bench'
+	@echo 'make docs    the pages in site/, and whether all that they tell people to type exists'
+	@echo 'make pictures  draw the pictures of the pages again, from a simulated drive'
+	@echo 'make clean   remove .venv, caches, site and the output of demo, table, bench and pictures'
 	@echo 'PYTHON=python3.12 chooses the interpreter that .venv is made with (3.11 or later)'
 
 install: $(INSTALLED)
@@ -41,9 +44,9 @@ $(INSTALLED): setup.py setup.cfg pyproject.toml
 		{ echo "$(PYTHON) is $$($(PYTHON) -V 2>&1), 3.11 or later is needed; name another with" \
 		'make PYTHON=python3.12' >&2; exit 1; }
 	@test -x $(BIN)/pip || $(PYTHON) -m venv --clear .venv
-	$(BIN)/python -m pip install --quiet --editable '.[ros,sim,report,test]'
+	$(BIN)/python -m pip install --quiet --editable '.[ros,sim,report,test,docs]'
 	@# Nobody need wait for the compiler later.
-	$(BIN)/python -c 'from incremental_mapper.mapping.kernels import load_kernels; load_kernels()'
+	$(BIN)/python -c 'from incremental_mapper import Config, Mapper; Mapper(Config()).close()'
 	@touch $@
 
 demo: $(INSTALLED)
@@ -90,6 +93,18 @@ format: $(INSTALLED)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
+# NO_MKDOCS_2_WARNING silences what the theme says of its successor; every warning ends the build.
+docs: $(INSTALLED)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	$(BIN)/python docs/tools/check_pages.py --site site
+
+pictures: $(INSTALLED)
+	$(MAPPER) simulate $(PICTURES_DIR)/drive --scene street --motion mixed --duration 60 --seed 1 --force
+	$(MAPPER) evaluate $(PICTURES_DIR)/drive --out $(PICTURES_DIR)/runs --config config/kaist.yaml \
+		--strategies base,mom
+	$(BIN)/python docs/tools/pictures.py $(PICTURES_DIR)/runs/drive $(PICTURES_DIR)/drive docs/pictures
+	$(BIN)/python examples/figure2.py docs/figure2.png
+
 clean:
-	rm -rf .venv $(DEMO_DIR) $(BENCH_DIR) $(TABLE_DIR) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache \
+	rm -rf .venv $(DEMO_DIR) $(BENCH_DIR) $(TABLE_DIR) $(PICTURES_DIR) site build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache \
 		.hypothesis .import_linter_cache

@@ -12,12 +12,12 @@ from typing import Any
 
 import gtsam
 import numpy as np
+from scipy.cluster.hierarchy import DisjointSet
 
 from incremental_mapper.candidates.model import Cluster, CoreKind, CoreMeasurement
 from incremental_mapper.config import Config
 from incremental_mapper.errors import InputError
 from incremental_mapper.frontend.imu_preintegration import preintegration_parameters
-from incremental_mapper.graph.connectivity import UnionFind
 from incremental_mapper.graph.factors import (
     Factor,
     FactorKind,
@@ -68,14 +68,14 @@ def piece_sizes() -> dict[str, float]:
         stamps = np.arange(SAMPLES) + STAMP + i
         return imu_factor(i, i + 1, span, 'imu', (STAMP + i, STAMP + i + SAMPLES), stamps)
 
-    values, components = gtsam.Values(), UnionFind[int]()
+    values, components = gtsam.Values(), DisjointSet()
 
     def cluster(i: int) -> PlacedCluster:
         values.insert(pose_key(i), gtsam.Pose3())
         values.insert(velocity_key(i), np.zeros(3))
         values.insert(bias_key(i), gtsam.imuBias.ConstantBias())
         for key in (pose_key(i), velocity_key(i), bias_key(i)):
-            components.find(key)
+            components.add(key)
         members = (
             CoreMeasurement(STAMP + i, 'left', CoreKind.LIDAR),
             CoreMeasurement(STAMP + i + 1, 'right', CoreKind.LIDAR),

@@ -23,9 +23,10 @@ from scipy.spatial.transform import Rotation
 from incremental_mapper.config import Config, MomSettings, read_yaml
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.datasets.source import Source
-from incremental_mapper.mapping import mapper as mapping
+from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.results.offline_run import effective_config
 from incremental_mapper.scoring.mom import LocalMap, choose_query_points, direct_score, fast_scores
+from incremental_mapper.selection import window_problem
 from incremental_mapper.selection.local_map import LocalMapBuilder
 
 METRES, RADIANS = 0.01, 5e-4
@@ -55,7 +56,7 @@ def timed(function: Callable[[], Any]) -> tuple[Any, float]:
 
 
 class Recorder(LocalMapBuilder):
-    """Keeps every local_map that a mapper query_points by."""
+    """Keeps every local map that a mapper judges by."""
 
     local_maps: list[LocalMap] = []  # noqa: RUF012 (shared by all windows)
 
@@ -67,9 +68,9 @@ class Recorder(LocalMapBuilder):
 
 
 def windows(source: Source, config: Config, count: int) -> Iterator[LocalMap]:
-    """The local_maps of a drive's first windows."""
-    mapping.LocalMapBuilder = Recorder  # type: ignore[misc]
-    mapper = mapping.Mapper(config, [name for name, some in source.info.counts.items() if some])
+    """The local maps of a drive's first windows."""
+    window_problem.LocalMapBuilder = Recorder  # type: ignore[misc]
+    mapper = Mapper(config, [name for name, some in source.info.counts.items() if some])
     given = 0
     for measurement in source.measurements():
         mapper.push(measurement)
@@ -121,7 +122,7 @@ def measure(
 def direct_scores(
     query_points: Any, local_map: LocalMap, settings: MomSettings
 ) -> NDArray[np.float64]:
-    """Every candidate of the local_map by searching again."""
+    """Every candidate of the local map by searching again."""
     return np.array(
         [direct_score(query_points, poses, local_map, settings) for poses in local_map.poses]
     )

@@ -1,3 +1,137 @@
-"""Window-by-window selection of the factor graph that makes the best local map."""
+"""incremental_mapper: the factor graph that makes the best local map, window by window.
+
+Everything that a program needs is imported from here; the rooms behind it are private. Names are
+loaded when they are first asked for, so that ``import incremental_mapper`` costs nothing.
+
+    from incremental_mapper import map_drive
+    run = map_drive('urban26', out='map', config='config/kaist.yaml')
+    print(run.stats['compression_vertices_percent'], run.errors)
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from incremental_mapper.candidates.model import Candidate, Cluster, Connection, CoreMeasurement
+    from incremental_mapper.config import Config, load_config
+    from incremental_mapper.datasets.open import open_source
+    from incremental_mapper.datasets.source import Source
+    from incremental_mapper.errors import (
+        ConfigError,
+        InputError,
+        MapperError,
+        MeasurementError,
+        OutputError,
+    )
+    from incremental_mapper.mapping.load_shedding import LoadShedding
+    from incremental_mapper.mapping.mapper import Mapper
+    from incremental_mapper.mapping.result import MapResult, NewestState, WindowResult
+    from incremental_mapper.measurements import (
+        FixStatus,
+        GnssFix,
+        ImuSample,
+        LidarScan,
+        make_fix,
+        make_imu,
+        make_scan,
+    )
+    from incremental_mapper.results.offline_run import Run, map_drive, map_source
+    from incremental_mapper.results.run_folder import FinishedRun
+    from incremental_mapper.results.trajectory_errors import TrajectoryErrors, trajectory_errors
+    from incremental_mapper.scoring.criteria import Criterion, Proposal
+    from incremental_mapper.selection.choice import Choice, Tried
+    from incremental_mapper.selection.lowest_score import LowestScore
+    from incremental_mapper.selection.strategies import Strategy, find_strategy, strategy_names
+    from incremental_mapper.selection.window_problem import WindowProblem
+    from incremental_mapper.trajectory import Trajectory, read_tum, write_tum
 
 __version__ = '0.1.0'
+
+_ROOMS = {
+    'candidates.model': ('Candidate', 'Cluster', 'Connection', 'CoreMeasurement'),
+    'config': ('Config', 'load_config'),
+    'datasets.open': ('open_source',),
+    'datasets.source': ('Source',),
+    'errors': ('ConfigError', 'InputError', 'MapperError', 'MeasurementError', 'OutputError'),
+    'mapping.load_shedding': ('LoadShedding',),
+    'mapping.mapper': ('Mapper',),
+    'mapping.result': ('MapResult', 'NewestState', 'WindowResult'),
+    'measurements': (
+        'FixStatus',
+        'GnssFix',
+        'ImuSample',
+        'LidarScan',
+        'make_fix',
+        'make_imu',
+        'make_scan',
+    ),
+    'results.offline_run': ('Run', 'map_drive', 'map_source'),
+    'results.run_folder': ('FinishedRun',),
+    'results.trajectory_errors': ('TrajectoryErrors', 'trajectory_errors'),
+    'scoring.criteria': ('Criterion', 'Proposal'),
+    'selection.choice': ('Choice', 'Tried'),
+    'selection.lowest_score': ('LowestScore',),
+    'selection.strategies': ('Strategy', 'find_strategy', 'strategy_names'),
+    'selection.window_problem': ('WindowProblem',),
+    'trajectory': ('Trajectory', 'read_tum', 'write_tum'),
+}
+_HOME = {name: room for room, names in _ROOMS.items() for name in names}
+
+__all__ = [
+    'Candidate',
+    'Choice',
+    'Cluster',
+    'Config',
+    'ConfigError',
+    'Connection',
+    'CoreMeasurement',
+    'Criterion',
+    'FinishedRun',
+    'FixStatus',
+    'GnssFix',
+    'ImuSample',
+    'InputError',
+    'LidarScan',
+    'LoadShedding',
+    'LowestScore',
+    'MapResult',
+    'Mapper',
+    'MapperError',
+    'MeasurementError',
+    'NewestState',
+    'OutputError',
+    'Proposal',
+    'Run',
+    'Source',
+    'Strategy',
+    'Trajectory',
+    'TrajectoryErrors',
+    'Tried',
+    'WindowProblem',
+    'WindowResult',
+    '__version__',
+    'find_strategy',
+    'load_config',
+    'make_fix',
+    'make_imu',
+    'make_scan',
+    'map_drive',
+    'map_source',
+    'open_source',
+    'read_tum',
+    'strategy_names',
+    'trajectory_errors',
+    'write_tum',
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
+    found = getattr(import_module(f'{__name__}.{_HOME[name]}'), name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

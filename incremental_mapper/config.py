@@ -413,6 +413,21 @@ def make_config(tree: Mapping[str, Any], where: str = 'settings') -> Config:
         raise ConfigError(f'{where}: ' + '; '.join(lines)) from error
 
 
+def load_config(path: Path | str) -> Config:
+    """Read a settings file.
+
+    Args:
+        path: YAML with the sections directly, or in the layout of a ROS parameter file.
+
+    Returns:
+        The settings; what the file does not name has its default.
+
+    Raises:
+        ConfigError: The file cannot be read, or a name or a value in it is wrong.
+    """
+    return make_config(read_yaml(Path(path)), str(path))
+
+
 def to_tree(config: Config) -> Tree:
     """The settings as a nested dictionary of plain values, in the layout that YAML files use."""
     tree: Tree = config.model_dump(mode='json')

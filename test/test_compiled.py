@@ -33,10 +33,10 @@ LOADED = f"""
 import sys
 sys.path.insert(0, {str(Path(__file__).parent)!r})
 import test_compiled
-from incremental_mapper.mapping.kernels import load_kernels
+from incremental_mapper import Config, Mapper
 def types():
     return [(item.py_func.__name__, item.signatures) for item in test_compiled.KERNELS]
-load_kernels()
+Mapper(Config()).close()
 before = types()
 """
 COUNT_MISSES = """
@@ -77,14 +77,14 @@ def test_kernel_uses_its_own_file_only(item):
 
 def test_window_finds_everything_compiled():
     program = """
-        import test_mom
+        import room_scene
         from incremental_mapper.scoring.mom import choose_query_points, fast_scores
-        local_map = test_mom.jittered(test_mom.room_scene(1), 5, 0.05, 1e-3)
-        for given in (local_map, test_mom.with_candidates(local_map)):
+        local_map = room_scene.jittered(room_scene.room_scene(1), 5, 0.05, 1e-3)
+        for given in (local_map, room_scene.with_candidates(local_map)):
             given.poses.flags.writeable = given.origin.flags.writeable = False
-            query_points = choose_query_points(given, test_mom.SETTINGS)
-            fast_scores(query_points, given.poses, given, test_mom.SETTINGS)
-            fast_scores(query_points, given.poses[1:2], given, test_mom.SETTINGS, exact=False)
+            query_points = choose_query_points(given, room_scene.SETTINGS)
+            fast_scores(query_points, given.poses, given, room_scene.SETTINGS)
+            fast_scores(query_points, given.poses[1:2], given, room_scene.SETTINGS, exact=False)
         print(types() == before, sum(len(some) for _, some in before))
     """
     same, compiled = run(program, before=LOADED).split()
@@ -152,7 +152,7 @@ def test_kernel_works_where_the_disk_is_full(monkeypatch):
 def test_processes_of_lidars_do_not_load_the_compiler():
     out = run("""
         import sys
-        import incremental_mapper.frontend.odometry_worker
+        import incremental_mapper.frontend.odometry_process
         print('numba' in sys.modules)
     """)
     assert out.split() == ['False']

@@ -1,6 +1,7 @@
 """The ``incremental_mapper`` command."""
 
 import argparse
+import signal
 import sys
 from collections.abc import Sequence
 from importlib import import_module
@@ -44,7 +45,15 @@ def make_parser(command: str | None = None) -> argparse.ArgumentParser:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit status."""
+    """Run the command line.
+
+    Args:
+        arguments: The words after the program's name; None takes those of this process, which
+            ends afterwards.
+
+    Returns:
+        The exit status, see ``exit_status``.
+    """
     words = sys.argv[1:] if arguments is None else list(arguments)
     try:
         args = make_parser(words[0] if words else None).parse_args(words)
@@ -54,9 +63,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f'incremental_mapper: {error}', file=sys.stderr)
         return exit_status.FAILURE
     except KeyboardInterrupt:
+        _end(arguments)
         print('incremental_mapper: interrupted', file=sys.stderr)
         return exit_status.INTERRUPTED
+    finally:
+        _end(arguments)
     return status
+
+
+def _end(arguments: Sequence[str] | None) -> None:
+    """Where this is the process's own command, nothing is left for another Ctrl-C to end."""
+    if arguments is None:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 if __name__ == '__main__':

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from incremental_mapper.frontend.front_end import Prepared
 from incremental_mapper.frontend.imu_preintegration import ImuSeries, integrate
-from incremental_mapper.frontend.scan_preparation import PreparedScan
+from incremental_mapper.frontend.lidar_odometry import PreparedScan
 from incremental_mapper.measurements import NANOSECONDS
 
 

@@ -13,8 +13,8 @@ from incremental_mapper.candidates.model import CoreKind, CoreMeasurement
 from incremental_mapper.config import Config
 from incremental_mapper.errors import MeasurementError
 from incremental_mapper.frontend.gnss import Datum, checked_covariance
+from incremental_mapper.frontend.lidar_odometry import PreparedScan
 from incremental_mapper.frontend.odometry_process import LocalStation, ProcessStation, ScanStation
-from incremental_mapper.frontend.scan_preparation import PreparedScan
 from incremental_mapper.measurements import CoreInput, Drops, GnssFix, LidarScan
 
 

@@ -58,27 +58,6 @@ def checked_covariance(fix: GnssFix, settings: GnssSettings) -> NDArray[np.float
     return floored
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Alignment:
-    """How ENU sits in the map: p_map = R(yaw) · p_enu + offset; yaw in radians about up."""
-
-    yaw: float
-    offset: NDArray[np.float64]
-
-    def rotation(self) -> NDArray[np.float64]:
-        """R_map_enu (3, 3)."""
-        cosine, sine = np.cos(self.yaw), np.sin(self.yaw)
-        return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
-
-    def to_map(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Positions (..., 3) from ENU to the map."""
-        moved: NDArray[np.float64] = position @ self.rotation().T + self.offset
-        return moved
-
-
-IDENTITY_ALIGNMENT = Alignment(yaw=0.0, offset=np.zeros(3))
-
-
 def align_track(
     enu: NDArray[np.float64], local: NDArray[np.float64]
 ) -> tuple[float, NDArray[np.float64]]:
@@ -91,5 +70,6 @@ def align_track(
             np.sum(b[:, 0] * a[:, 0] + b[:, 1] * a[:, 1]),
         )
     )
-    turned = Alignment(yaw, np.zeros(3)).to_map(local_mean)
-    return yaw, enu_mean - turned
+    cosine, sine = np.cos(yaw), np.sin(yaw)
+    R_enu_local = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+    return yaw, enu_mean - local_mean @ R_enu_local.T

@@ -10,11 +10,11 @@ import subprocess
 import sys
 from collections import Counter
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any, Protocol
+from typing import Any, BinaryIO, Protocol
 
 from incremental_mapper.config import Config
 from incremental_mapper.errors import MeasurementError
-from incremental_mapper.frontend.scan_preparation import PreparedScan, ScanPreparer
+from incremental_mapper.frontend.lidar_odometry import PreparedScan, ScanPreparer
 from incremental_mapper.measurements import LidarScan
 
 _SINGLE = {name: '1' for name in ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS')}
@@ -58,7 +58,7 @@ class ProcessStation:
         self._here: ScanPreparer | None = None
         # In a session of its own, so that Ctrl-C reaches the mapper alone, which then ends it.
         self._process = subprocess.Popen(
-            [sys.executable, '-m', 'incremental_mapper.frontend.odometry_worker'],
+            [sys.executable, '-m', 'incremental_mapper.frontend.odometry_process'],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env={**os.environ, **_SINGLE},
@@ -106,3 +106,33 @@ class ProcessStation:
                     return result
                 raise MeasurementError(*result)
         return self._here.prepare(scan)
+
+
+def serve(requests: BinaryIO, answers: BinaryIO) -> None:
+    """Read name and settings, then scans; answer each with a result and new notes."""
+    name, config = pickle.load(requests)
+    notes: Counter[str] = Counter()
+    preparer = ScanPreparer(name, config, notes)
+    while True:
+        try:
+            scan = pickle.load(requests)
+        except EOFError:
+            return
+        try:
+            result: object = preparer.prepare(scan)
+        except MeasurementError as error:
+            result = (error.reason, str(error))
+        pickle.dump((result, dict(notes)), answers, protocol=pickle.HIGHEST_PROTOCOL)
+        answers.flush()
+        notes.clear()
+
+
+def main() -> None:
+    """Serve on the standard streams; what libraries print goes to stderr."""
+    answers = os.fdopen(os.dup(sys.stdout.fileno()), 'wb')
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
+    serve(sys.stdin.buffer, answers)
+
+
+if __name__ == '__main__':
+    main()

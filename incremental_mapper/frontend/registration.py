@@ -16,7 +16,7 @@ from incremental_mapper.voxels import thin
 NEIGHBOURS = 10
 """Points of which gicp takes the covariance; 8 or 14 give worse motions on two tilted VLP-16."""
 ROTATION_STEP, TRANSLATION_STEP = 0.01, 0.03
-"""Gicp stops after a step that is smaller, in rad and m. Steps marginalise several times from one to
+"""Gicp stops after a step that is smaller, in rad and m. Steps shrink several times from one to
 the next, so what is left is far below the noise of a match. Where the motion is steady, the first
 step is the last; bounds a third as large take half as many steps again and
 match no better."""

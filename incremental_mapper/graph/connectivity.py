@@ -1,38 +1,107 @@
-"""Connectivity by union-find, decided before anything is solved (paper, step 5)."""
+"""Which clusters of a candidate hang together, decided before anything is solved (paper, step 5).
 
-from collections.abc import Hashable, Iterable
-from typing import Generic, TypeVar
+What candidates with the same clusters share is made once: their numbers, the cluster of every
+scan, and which clusters odometry alone joins. A candidate's connections then only join components.
+"""
 
-Node = TypeVar('Node', bound=Hashable)
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from scipy.cluster.hierarchy import DisjointSet
+
+from incremental_mapper.candidates.model import HEAD, Candidate, Cluster, CoreMeasurement
+from incremental_mapper.frontend.front_end import Prepared
+from incremental_mapper.frontend.lidar_odometry import PreparedScan
+from incremental_mapper.graph.factors import Factor
+from incremental_mapper.graph.frontier import Frontier
+
+LOCAL = 1 << 40
+"""Candidates' clusters are numbered from here on while they compete, the same in every window."""
+GRAPH = 'G(t-1)'
+"""The node that stands for all of G(t-1) in the connectivity of a candidate."""
 
 
-class UnionFind(Generic[Node]):
-    """Disjoint sets of hashable nodes; nodes come into being when they are first named."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Partition:
+    """What candidates with the same ``clusters`` share.
 
-    def __init__(self, nodes: Iterable[Node] = ()) -> None:
-        self._parent: dict[Node, Node] = {node: node for node in nodes}
-        self._sets = len(self._parent)
+    Attributes:
+        clusters: The clusters in time order.
+        numbered: The clusters by their number.
+        homes: Number of the cluster of every scan, by sensor and stamp (ns).
+        components: Component of every cluster without any connection; 0 is that of G(t-1).
+        factors: Odometry and fixes of the clusters' members, by the clusters' first elements.
+    """
 
-    def find(self, node: Node) -> Node:
-        """Representative of the node's set."""
-        if node not in self._parent:
-            self._parent[node] = node
-            self._sets += 1
-        root = node
-        while self._parent[root] != root:
-            root = self._parent[root]
-        while self._parent[node] != root:
-            self._parent[node], node = root, self._parent[node]
-        return root
+    clusters: tuple[Cluster, ...]
+    numbered: Mapping[int, Cluster]
+    homes: Mapping[tuple[str, int], int]
+    components: tuple[int, ...]
+    factors: dict[int, Sequence[Factor]] = field(default_factory=dict)
 
-    def union(self, first: Node, second: Node) -> None:
-        """Join the sets of two nodes."""
-        one, other = self.find(first), self.find(second)
-        if one != other:
-            self._parent[one] = other
-            self._sets -= 1
+    def unconnected(self, candidate: Candidate) -> list[list[Cluster]]:
+        """The components of one of the candidates that do not reach G(t-1).
 
-    @property
-    def sets(self) -> int:
-        """Number of disjoint sets."""
-        return self._sets
+        Args:
+            candidate: A candidate with these clusters.
+
+        Returns:
+            The clusters of each such component, both in time order; empty where the candidate is
+            connected.
+        """
+        labels = self.components
+        if not any(labels):
+            return []
+        for link in candidate.connections:
+            start = 0 if link.start == HEAD else labels[link.start]
+            low, high = sorted((start, labels[link.end]))
+            labels = tuple(low if label == high else label for label in labels)
+        found: dict[int, list[Cluster]] = {}
+        for cluster, label in zip(self.clusters, labels, strict=True):
+            if label:
+                found.setdefault(label, []).append(cluster)
+        return list(found.values())
+
+
+class Partitions:
+    """The partitions of a window with so many ``elements``."""
+
+    def __init__(
+        self, prepared: Mapping[CoreMeasurement, Prepared], frontier: Frontier, elements: int
+    ) -> None:
+        self._prepared = prepared
+        self._frontier = frontier
+        self._elements = elements
+        self._made: dict[int, Partition] = {}
+
+    def number(self, cluster: Cluster) -> int:
+        """Number of a cluster while candidates compete; unique within the window."""
+        return LOCAL + cluster.first * self._elements + cluster.last
+
+    def of(self, candidate: Candidate) -> Partition:
+        """What candidates with these clusters share; enumerations hand on the same tuple."""
+        known = self._made.get(id(candidate.clusters))
+        if known is None:
+            known = self._made[id(candidate.clusters)] = self._make(candidate.clusters)
+        return known
+
+    def _make(self, clusters: tuple[Cluster, ...]) -> Partition:
+        numbers = tuple(self.number(cluster) for cluster in clusters)
+        homes = {(name, stamp): id_ for name, (id_, stamp) in self._frontier.chains.items()}
+        known = set(homes.values())
+        for cluster, own in zip(clusters, numbers, strict=True):
+            for core in cluster.members:
+                homes[core.sensor, core.stamp] = own
+        sets = DisjointSet([GRAPH, *numbers])
+        if self._frontier.newest is None and numbers:
+            sets.merge(GRAPH, numbers[0])
+        for cluster, own in zip(clusters, numbers, strict=True):
+            for core in cluster.members:
+                item = self._prepared[core]
+                if isinstance(item, PreparedScan) and item.previous is not None:
+                    other = homes.get((core.sensor, item.previous))
+                    if other is not None:
+                        sets.merge(GRAPH if other in known else other, own)
+        labels: dict[int | str, int] = {sets[GRAPH]: 0}
+        components = tuple(labels.setdefault(sets[own], len(labels)) for own in numbers)
+        return Partition(clusters, dict(zip(numbers, clusters, strict=True)), homes, components)

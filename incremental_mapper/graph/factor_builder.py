@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import gtsam
 import numpy as np
+from numpy.typing import NDArray
 
 from incremental_mapper.candidates.model import (
     HEAD,
@@ -14,11 +15,11 @@ from incremental_mapper.candidates.model import (
     CoreMeasurement,
 )
 from incremental_mapper.config import Config
-from incremental_mapper.frontend.dead_reckoning import State, normalise, propagate
+from incremental_mapper.frontend.dead_reckoning import State
 from incremental_mapper.frontend.front_end import Prepared, PreparedFix
-from incremental_mapper.frontend.gnss import Alignment
 from incremental_mapper.frontend.imu_preintegration import ImuSeries, preintegrate
-from incremental_mapper.frontend.scan_preparation import PreparedScan
+from incremental_mapper.frontend.lidar_odometry import PreparedScan
+from incremental_mapper.graph.connectivity import Partition, Partitions
 from incremental_mapper.graph.factors import (
     Factor,
     FactorKind,
@@ -33,8 +34,8 @@ from incremental_mapper.graph.factors import (
     velocity_prior,
 )
 from incremental_mapper.graph.frontier import Frontier, chain_start
-from incremental_mapper.graph.partition_graph import Partition, Partitions
-from incremental_mapper.graph.values import bias_key, insert_bias, pose_key, velocity_key
+from incremental_mapper.graph.motion_compensation import MotionCompensation
+from incremental_mapper.graph.values import bias_key, pose_key, velocity_key
 from incremental_mapper.measurements import NANOSECONDS
 
 UNSEEN_ACCELERATION = 2.0
@@ -45,7 +46,20 @@ SHORTEST = NANOSECONDS // 1000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WindowInputs:
-    """Everything that the factors of a window are made of."""
+    """Everything that the factors of a window are made of.
+
+    Attributes:
+        prepared: The core measurements with what the front end made of them.
+        states: Predicted states at their stamps (ns).
+        series: IMU samples that no span has used yet.
+        parameters: Noise and gravity of the pre-integration.
+        frontier: What G(t-1) lets a factor touch.
+        head_state: State of the cluster of G(t-1) to connect from, or the first one of all.
+        scan_offsets: T_cluster_scan of each LiDAR's last scan in G(t-1), by sensor and stamp.
+        enu_offset: Where ENU's origin lies in the map, (3,) metres; the axes are the same.
+        fix_inflation: Extra standard deviation of fixes in metres, by stamp.
+        config: All settings.
+    """
 
     prepared: Mapping[CoreMeasurement, Prepared]
     states: Mapping[int, State]
@@ -54,69 +68,38 @@ class WindowInputs:
     frontier: Frontier
     head_state: State
     scan_offsets: Mapping[tuple[str, int], gtsam.Pose3]
-    alignment: Alignment
+    enu_offset: NDArray[np.float64]
     fix_inflation: Mapping[int, float]
     config: Config
 
 
-class WindowFactors:
+class FactorBuilder:
     """Builds candidates' factors; the same cluster has the same keys in every candidate."""
 
-    def __init__(self, inputs: WindowInputs, elements: int) -> None:
+    def __init__(
+        self, inputs: WindowInputs, partitions: Partitions, compensation: MotionCompensation
+    ) -> None:
+        """Nothing is built before it is asked for.
+
+        Args:
+            inputs: Everything that the factors of the window are made of.
+            partitions: The numbers of the window's clusters, and what they share.
+            compensation: Where the members of a cluster stand in it.
+        """
         self._in = inputs
+        self._partitions = partitions
+        self._compensation = compensation
         self._cache: dict[tuple[object, ...], tuple[Factor, ...]] = {}
-        self._offsets: dict[tuple[int, int], gtsam.Pose3] = {}
-        self._dead_reckoned: dict[int, State] = {}
-        self._partitions = Partitions(inputs.prepared, inputs.frontier, elements)
         self._sigmas = pose_sigmas(
             inputs.config.odometry.sigma_translation, inputs.config.odometry.sigma_rotation
         )
 
-    def local_id(self, cluster: Cluster) -> int:
-        """Number of a cluster while candidates compete; unique within the window."""
-        return self._partitions.number(cluster)
-
-    def home(self, candidate: Candidate) -> Mapping[tuple[str, int], int]:
-        """Cluster of every scan that an odometry of this window may start from."""
-        return self.partition(candidate).homes
-
-    def components(self, candidate: Candidate) -> list[list[Cluster]]:
-        """Clusters by component, without those that reach G(t-1); in time order.
-
-        In the first window there is no G(t-1), and the first component counts as it.
-        """
-        return self.partition(candidate).components(candidate)
-
-    def partition(self, candidate: Candidate) -> Partition:
-        """What it shares with other candidates; the same object for all of them."""
-        return self._partitions.of(candidate)
-
-    def offset(self, cluster: Cluster, stamp: int) -> gtsam.Pose3:
-        """T_cluster_member: the identity, or the predicted motion if that is compensated."""
-        if not self._in.config.graph.motion_compensation or stamp == cluster.stamp:
-            return gtsam.Pose3()
-        key = (cluster.stamp, stamp)
-        if key not in self._offsets:
-            # Dead reckoning from one state keeps the noise of single matches out of this.
-            at = [self._dead_reckon(moment) for moment in key]
-            self._offsets[key] = at[0].pose.between(at[1].pose)
-        return self._offsets[key]
-
-    def _dead_reckon(self, stamp: int) -> State:
-        if stamp not in self._dead_reckoned:
-            inputs = self._in
-            max_gap = round(inputs.config.preintegration.max_gap * NANOSECONDS)
-            self._dead_reckoned[stamp] = propagate(
-                inputs.head_state, stamp, inputs.series, inputs.parameters, max_gap
-            )
-        return self._dead_reckoned[stamp]
-
     def factors(self, candidate: Candidate, since: int = 0) -> list[Factor]:
-        """All factors of a candidate except priors that hold loose components.
+        """All factors of a candidate except those that hold unconnected components.
 
         With ``since`` only those that its clusters from that index on bring along.
         """
-        partition = self.partition(candidate)
+        partition = self._partitions.of(candidate)
         made: list[Factor] = []
         for cluster in candidate.clusters[since:]:
             if cluster.first not in partition.factors:
@@ -143,10 +126,6 @@ class WindowFactors:
                 made.extend(self._odometry(item, start, partition.numbered.get(start), cluster))
         return made
 
-    def predicted(self, stamp: int) -> gtsam.Pose3:
-        """Predicted T_map_base at the stamp of a core measurement."""
-        return self._in.states[stamp].pose
-
     def has_odometry(self, core: CoreMeasurement) -> bool:
         """Whether a scan is linked to an earlier one."""
         item = self._in.prepared[core]
@@ -165,7 +144,7 @@ class WindowFactors:
         graph = self._in.config.graph
         sigmas = pose_sigmas(graph.weak_sigma_position, graph.weak_sigma_rotation)
         pose = self._in.states[cluster.stamp].pose
-        return pose_prior(pose_key(self.local_id(cluster)), pose, sigmas, cluster.stamp)
+        return pose_prior(pose_key(self._partitions.number(cluster)), pose, sigmas, cluster.stamp)
 
     def bridge(self, cluster: Cluster, first: Cluster, newest: gtsam.Pose3 | None) -> Factor:
         """Loosely ties a component to G(t-1) by the predicted motion.
@@ -175,95 +154,32 @@ class WindowFactors:
         """
         graph, frontier = self._in.config.graph, self._in.frontier
         if frontier.newest is None or newest is None:
-            anchor, stamp = self.local_id(first), first.stamp
+            anchor, stamp = self._partitions.number(first), first.stamp
             pose = self._in.states[stamp].pose
         else:
             anchor, stamp, pose = frontier.newest, frontier.newest_stamp, newest
         return between_factor(
             FactorKind.BRIDGE,
-            (pose_key(anchor), pose_key(self.local_id(cluster))),
+            (pose_key(anchor), pose_key(self._partitions.number(cluster))),
             pose.between(self._in.states[cluster.stamp].pose),
             pose_sigmas(graph.weak_sigma_position, graph.weak_sigma_rotation),
             None,
             (stamp, cluster.stamp),
         )
 
-    def initial(self, candidate: Candidate) -> gtsam.Values:
-        """Initial values of the candidate's new variables."""
-        values = gtsam.Values()
-        self.add_initial(candidate, values)
-        return values
-
-    def add_initial(
-        self,
-        candidate: Candidate,
-        values: gtsam.Values,
-        states: Mapping[int, State] | None = None,
-    ) -> None:
-        """Insert those of the candidate's new variables that ``values`` lacks.
-
-        They start from the ``states`` at the clusters' stamps, by default the predicted ones.
-        """
-        states = self._in.states if states is None else states
-        inertial = candidate.inertial_clusters
-        for index, cluster in enumerate(candidate.clusters):
-            own, state = self.local_id(cluster), states[cluster.stamp]
-            if not values.exists(pose_key(own)):
-                values.insert(pose_key(own), state.pose)
-            if index in inertial:
-                self._add_inertial(own, state, values)
-        # A candidate may give velocity and bias to a cluster of G(t-1).
-        if HEAD in inertial and not self._in.frontier.head_inertial:
-            head = self._in.frontier.head
-            assert head is not None
-            self._add_inertial(head, self._in.head_state, values)
-
-    def _add_inertial(self, cluster: int, state: State, values: gtsam.Values) -> None:
-        if not values.exists(velocity_key(cluster)):
-            values.insert(velocity_key(cluster), state.velocity)
-            insert_bias(values, bias_key(cluster), state.bias)
-
-    def warm_start(self, candidate: Candidate, values: gtsam.Values) -> dict[int, State]:
-        """States at the window's stamps, put right by the ``values`` of a solved candidate.
-
-        Where it has no cluster, a state differs from the predicted one as the nearest does.
-        """
-        found: dict[int, State] = {}
-        solved = {cluster.stamp: self.local_id(cluster) for cluster in candidate.clusters}
-        inertial = {
-            candidate.clusters[index].stamp
-            for index in candidate.inertial_clusters
-            if index != HEAD
-        }
-        for stamp, predicted in self._in.states.items():
-            near = min(solved, key=lambda other: abs(other - stamp))
-            before = self._in.states[near]
-            pose = values.atPose3(pose_key(solved[near]))
-            velocity, bias = predicted.velocity, predicted.bias
-            if near != stamp:
-                pose = pose.compose(before.pose.between(predicted.pose))
-            if inertial:
-                near = min(inertial, key=lambda other: abs(other - stamp))
-                own = solved[near]
-                change = predicted.velocity - self._in.states[near].velocity
-                velocity = values.atVector(velocity_key(own)) + change
-                bias = values.atConstantBias(bias_key(own))
-            found[stamp] = State(stamp, normalise(pose), velocity, bias)
-        return found
-
     def _odometry(
         self, item: PreparedScan, start: int, start_cluster: Cluster | None, end: Cluster
     ) -> tuple[Factor, ...]:
-        own = self.local_id(end)
+        own = self._partitions.number(end)
         key = ('odometry', item.core, start, own)
         if key not in self._cache:
             assert item.previous is not None and item.T_previous_current is not None
             before = (
                 self._in.scan_offsets.get((item.core.sensor, item.previous), gtsam.Pose3())
                 if start_cluster is None
-                else self.offset(start_cluster, item.previous)
+                else self._compensation.offset(start_cluster, item.previous)
             )
-            after = self.offset(end, item.core.stamp)
+            after = self._compensation.offset(end, item.core.stamp)
             motion = before.compose(item.T_previous_current).compose(after.inverse())
             self._cache[key] = (
                 between_factor(
@@ -278,20 +194,19 @@ class WindowFactors:
         return self._cache[key]
 
     def _gnss(self, item: PreparedFix, cluster: Cluster) -> tuple[Factor, ...]:
-        own = self.local_id(cluster)
+        own = self._partitions.number(cluster)
         key = ('gnss', item.core, own)
         if key not in self._cache:
             config = self._in.config
             spread = self._in.fix_inflation.get(item.core.stamp, 0.0)
             arm = config.gnss.matrix()[:3, 3]
-            arm = self.offset(cluster, item.core.stamp).transformFrom(arm)
-            turn = self._in.alignment.rotation()
+            arm = self._compensation.offset(cluster, item.core.stamp).transformFrom(arm)
             inflated = item.covariance + np.diag([spread**2, spread**2, 0.0])
             self._cache[key] = (
                 gnss_factor(
                     pose_key(own),
-                    self._in.alignment.to_map(item.enu),
-                    turn @ inflated @ turn.T,
+                    item.enu + self._in.enu_offset,
+                    inflated,
                     arm,
                     config.fixes.robust_threshold,
                     item.core.sensor,
@@ -306,7 +221,7 @@ class WindowFactors:
             assert self._in.frontier.head is not None
             return self._in.frontier.head, self._in.frontier.head_stamp
         cluster = candidate.clusters[index]
-        return self.local_id(cluster), cluster.stamp
+        return self._partitions.number(cluster), cluster.stamp
 
     def _imu(self, candidate: Candidate, start: int, end: int) -> tuple[Factor, ...]:
         first, first_stamp = self._ends(candidate, start)
@@ -370,7 +285,10 @@ class WindowFactors:
         if FactorKind.CONSTANT_VELOCITY in kinds:
             keys = (velocity_key(earlier[0]), velocity_key(id_))
             begin = max(earlier[1], self._in.head_state.stamp)
-            change = self._dead_reckon(stamp).velocity - self._dead_reckon(begin).velocity
+            change = (
+                self._compensation.dead_reckon(stamp).velocity
+                - self._compensation.dead_reckon(begin).velocity
+            )
             made.append(constant_velocity_prior(keys, change, UNSEEN_ACCELERATION * passed, stamps))
         walks = [imu.accelerometer_bias_walk] * 3 + [imu.gyroscope_bias_walk] * 3
         keys = (bias_key(earlier[0]), bias_key(id_))
@@ -386,4 +304,4 @@ class WindowFactors:
             + [graph.prior_sigma_position] * 3
         )
         pose = self._in.states[cluster.stamp].pose
-        return pose_prior(pose_key(self.local_id(cluster)), pose, sigmas, cluster.stamp)
+        return pose_prior(pose_key(self._partitions.number(cluster)), pose, sigmas, cluster.stamp)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from incremental_mapper.config import Config
-from incremental_mapper.frontend.gnss import IDENTITY_ALIGNMENT, align_track
+from incremental_mapper.frontend.gnss import align_track
 from incremental_mapper.geometry import pose_matrix
 from incremental_mapper.graph.factors import (
     Factor,
@@ -90,17 +90,14 @@ def georeference(state: GraphState, config: Config) -> bool:
     values = turned if solution is None else solution.values
     clusters = {placed.id: placed.cluster.stamp for placed in state.clusters}
     newest = max(clusters.values())
-    state.prior, state.values = marginal_prior_of(
+    prior, older = marginal_prior_of(
         plain,
         values,
         clusters,
         state.frontier.keys(),
         newest - round(config.graph.lag * NANOSECONDS),
     )
-    state.factors = factors
-    state.last_velocity = T_enu_map.rotation().rotate(state.last_velocity)
-    state.alignment = IDENTITY_ALIGNMENT
-    state.georeferenced = True
+    state.turn_to_enu(T_enu_map, factors, prior, older)
     return True
 
 

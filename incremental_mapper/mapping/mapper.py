@@ -2,41 +2,36 @@
 
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import astuple, dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from incremental_mapper.blas import single_threaded_blas
-from incremental_mapper.candidates.enumeration import base_candidate
 from incremental_mapper.candidates.partitions import group_elements
 from incremental_mapper.candidates.spans import ImuStamps
-from incremental_mapper.candidates.time_shift_search import by_time_shift
+from incremental_mapper.compiled import waiting
 from incremental_mapper.config import Config
 from incremental_mapper.frontend.front_end import FrontEnd, Preparation, Prepared
 from incremental_mapper.frontend.imu_preintegration import EMPTY_SERIES, preintegration_parameters
-from incremental_mapper.graph.factor_builder import WindowFactors, WindowInputs
-from incremental_mapper.graph.factors import Factor
 from incremental_mapper.graph.values import pose_key
 from incremental_mapper.map.store import make_store
 from incremental_mapper.mapping.base_count import BaseCount
-from incremental_mapper.mapping.commit import NOTHING, Appended, append_candidate
+from incremental_mapper.mapping.commit import NOTHING, Committed, commit
 from incremental_mapper.mapping.georeferencing import georeference
-from incremental_mapper.mapping.kernels import load_kernels
 from incremental_mapper.mapping.load_shedding import NO_SHEDDING, LoadShedding
 from incremental_mapper.mapping.result import MapResult, NewestState, WindowResult
 from incremental_mapper.mapping.statistics import Totals, run_stats, window_row
 from incremental_mapper.mapping.window_buffer import Window, WindowBuffer, joined
 from incremental_mapper.measurements import NANOSECONDS, ImuSample, Measurement
-from incremental_mapper.scoring.strategies import strategy_plan
-from incremental_mapper.selection.local_map import LocalMapBuilder
-from incremental_mapper.selection.selector import Choice, choose
-from incremental_mapper.selection.window_inputs import window_inputs
-from incremental_mapper.selection.window_problem import Task
+from incremental_mapper.selection.bridging import bridged
+from incremental_mapper.selection.choice import Choice
+from incremental_mapper.selection.strategies import find_strategy
+from incremental_mapper.selection.window_problem import pose_problem
+from incremental_mapper.smoothing import linear_system
 from incremental_mapper.smoothing.batch import make_graph, optimize
 from incremental_mapper.smoothing.graph_state import GraphState
-from incremental_mapper.smoothing.marginal_prior import trimmed
 from incremental_mapper.trajectory import from_matrices
 
 
@@ -60,19 +55,22 @@ class Mapper:
 
     def __init__(self, config: Config, sensors: Sequence[str] = ()) -> None:
         self.config = config
-        self._plan = strategy_plan(config.selection.strategy)
+        self._strategy = find_strategy(config.selection.strategy)
         self._buffer = WindowBuffer(config.window, sensors)
         # Closed, and waiting for their scans or to be merged with the next.
         self._held: list[tuple[Window, Preparation]] = []
         self._shedding = NO_SHEDDING
+        store = make_store(config.map)  # may fail, so before any process is started
         self._front_end = FrontEnd(config)
-        load_kernels(self._plan.local_map)  # while the front end's processes start
+        with waiting():  # while the front end's processes start
+            linear_system.warm_up()
+            self._strategy.warm_up()
         self._parameters = preintegration_parameters(config.preintegration, config.imu.matrix())
         self._imu_gap = round(config.preintegration.max_gap * NANOSECONDS)
         self._series = EMPTY_SERIES
         self._orientation: NDArray[np.float64] | None = None
         self._carried: list[Prepared] = []
-        self._state = GraphState(store=make_store(config.map))
+        self._state = GraphState(store=store)
         self._base = BaseCount(self._imu_gap)
         self._totals = Totals()
         self._rows: list[dict[str, Any]] = []
@@ -177,10 +175,11 @@ class Mapper:
         return stats
 
     def _fixes(self) -> NDArray[np.float64]:
-        alignment = self._state.alignment
-        if alignment is None:
+        offset = self._state.enu_offset
+        if offset is None:
             return np.zeros((0, 3))
-        return alignment.to_map(np.array([fix.enu for fix in self._state.fixes]).reshape(-1, 3))
+        fixes: NDArray[np.float64] = np.array([fix.enu for fix in self._state.fixes])
+        return fixes.reshape(-1, 3) + offset
 
     def close(self) -> None:
         """Let go of processes and threads; nothing may be pushed afterwards."""
@@ -232,94 +231,36 @@ class Mapper:
             return self._close(frame, items, None)
         self._count_base(prepared)
         started = time.perf_counter()
-        inputs = window_inputs(
+        problem = pose_problem(
             items,
             self._state,
             self._series,
             self._orientation,
             self._parameters,
             self.config,
-        )
-        elements = group_elements(item.core for item in items)
-        factors = WindowFactors(inputs, len(elements))
-        local_maps = LocalMapBuilder(
-            items, inputs, factors, self._state, self.config.mom.submap_scans
-        )
-        frontier = self._state.frontier
-        task = Task(
-            elements=elements,
-            head=None if frontier.head is None else frontier.head_stamp,
-            head_cluster=frontier.head,
-            inertial_cluster=frontier.inertial,
-            imu=ImuStamps(self._series.stamps, self._imu_gap),
-            factors=factors,
-            local_maps=local_maps,
-            prior=trimmed(
-                self._state.prior, self._state.recent_poses(self.config.mom.submap_scans)
-            ),
-            # How far a merged measurement must be moved is unknown before the velocity is.
-            may_merge=self._state.velocity_known or not self.config.graph.motion_compensation,
-            max_iterations=self.config.graph.max_iterations,
+            self._shedding.candidates,
         )
         frame.seconds['candidates'] = time.perf_counter() - started
-        choice = choose(
-            task, self._plan, self.config.selection, self.config.mom, self._shedding.candidates
-        )
-        extra = [factors.regularising_prior(part[0]) for part in choice.loose]
+        choice = self._strategy.select(problem)
         if choice.winner is None:
             waited = (items[-1].core.stamp - items[0].core.stamp) / NANOSECONDS
             if not force and waited < self.config.window.max_carry:
                 self._carried = items
                 return self._close(frame, items, choice)
-            choice, extra = self._bridged(choice, task, inputs)
+            newest = self._state.frontier.newest
+            pose = None if newest is None else self._state.pose(newest)
+            choice = bridged(choice, problem, pose)
+            self._totals.bridges += len(choice.extra)
         self._carried = []
         started = time.perf_counter()
-        appended = self._append(choice, extra, factors, inputs)
-        frame.seconds['append'] = time.perf_counter() - started
-        return self._close(frame, items, choice, appended)
-
-    def _bridged(
-        self, choice: Choice, task: Task, inputs: WindowInputs
-    ) -> tuple[Choice, list[Factor]]:
-        """The least shifted candidate, with loose ties in place of what is missing.
-
-        Taken only when measurements have waited for ``window.max_carry`` and nothing came that
-        connects them.
-        """
-        least = next(by_time_shift(task.elements, task.head, task.imu))
-        base = base_candidate(task.elements, task.head, task.imu)
-        best = min((least, base), key=lambda item: len(task.factors.components(item)))
-        newest = self._state.frontier.newest
-        loose = task.factors.components(best)
-        self._totals.bridges += len(loose)
-        pose = None if newest is None else self._state.pose(newest)
-        extra = [task.factors.bridge(part[0], best.clusters[0], pose) for part in loose]
-        return replace(choice, winner=best, solution=None, score_name='bridged'), extra
-
-    def _append(
-        self,
-        choice: Choice,
-        extra: Sequence[Factor],
-        factors: WindowFactors,
-        inputs: WindowInputs,
-    ) -> Appended:
-        assert choice.winner is not None
-        appended = append_candidate(
-            self._state,
-            self._totals.windows,
-            choice.winner,
-            choice.solution,
-            extra,
-            factors,
-            inputs,
-            consecutive=self._plan.only_base,
-        )
+        committed = commit(self._state, self._totals.windows, choice, problem)
         self._totals.solver_failures += int(not self._state.prior.healthy)
         georeference(self._state, self.config)
-        frontier = self._state.frontier
         # Samples after the last cluster stamp belong to the next window.
+        frontier = self._state.frontier
         self._series = self._series.since(min(frontier.head_stamp, frontier.newest_stamp))
-        return appended
+        frame.seconds['append'] = time.perf_counter() - started
+        return self._close(frame, items, choice, committed)
 
     def _count_base(self, prepared: Sequence[Prepared]) -> None:
         imu = ImuStamps(self._series.stamps, self._imu_gap)
@@ -338,11 +279,11 @@ class Mapper:
         frame: '_Frame',
         items: Sequence[Prepared],
         choice: Choice | None,
-        appended: Appended = NOTHING,
+        committed: Committed = NOTHING,
     ) -> WindowResult:
         """Record a window's numbers."""
         totals, seconds = self._totals, frame.seconds
-        placed, error = appended.placed, appended.error
+        placed, error = committed.placed, committed.error
         for stage, spent in (choice.seconds if choice else {}).items():
             seconds[stage] = seconds.get(stage, 0.0) + spent
         if choice is not None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from incremental_mapper.candidates.model import Candidate
 from incremental_mapper.graph.factors import Factor
 from incremental_mapper.graph.values import pose_key
-from incremental_mapper.selection.selector import Tried
+from incremental_mapper.selection.choice import Tried
 from incremental_mapper.smoothing.graph_state import PlacedCluster, PlacedScan
 from incremental_mapper.trajectory import Trajectory
 

@@ -11,7 +11,8 @@ from incremental_mapper.config import Config, to_tree
 from incremental_mapper.graph.factors import FactorKind
 from incremental_mapper.mapping.base_count import BaseCount
 from incremental_mapper.measurements import NANOSECONDS, Drops
-from incremental_mapper.selection.selector import Choice, Verification
+from incremental_mapper.scoring.verification import Verification, verification_summary
+from incremental_mapper.selection.choice import Choice
 from incremental_mapper.smoothing.graph_state import GraphState
 
 STAGES = ('front_end', 'candidates', 'solve', 'score', 'append')
@@ -140,7 +141,7 @@ def run_stats(
         'candidates_enumerated': totals.enumerated,
         'candidates_connected': totals.connected,
         'candidates_solved': totals.solved,
-        'components': state.components.sets,
+        'components': state.components.n_subsets,
         'carried_windows': totals.carried_windows,
         'cut_windows': totals.cut_windows,
         'merged_windows': totals.merged_windows,
@@ -161,28 +162,6 @@ def run_stats(
     if totals.verifications:
         stats['verification'] = verification_summary(totals.verifications)
     return stats
-
-
-def verification_summary(verifications: Sequence[Verification]) -> dict[str, Any]:
-    """How often fast and direct MOM agree, and what each costs."""
-    judged = [item for item in verifications if item.scored > 1]
-    agreeing = [item for item in judged if item.same_winner or item.regret <= 0.005]
-    scored = sum(item.scored for item in verifications)
-    fast = sum(item.fast_seconds for item in verifications)
-    direct = sum(item.direct_seconds for item in verifications)
-    setup = sum(item.setup_seconds for item in verifications)
-    return {
-        'windows_with_a_choice': len(judged),
-        'same_winner': sum(item.same_winner for item in judged),
-        'same_or_within_half_percent': len(agreeing),
-        'agreement_percent': 100.0 * len(agreeing) / max(len(judged), 1),
-        'worst_regret_percent': 100.0 * max((item.regret for item in judged), default=0.0),
-        'candidates_scored': scored,
-        'fast_ms_per_candidate': 1e3 * fast / max(scored, 1),
-        'direct_ms_per_candidate': 1e3 * direct / max(scored, 1),
-        'setup_and_fast_ms_per_candidate': 1e3 * setup / max(scored, 1),
-        'direct_over_fast': direct / fast if fast > 0 else None,
-    }
 
 
 def peak_rss_mb() -> float:

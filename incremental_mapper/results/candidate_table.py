@@ -16,7 +16,7 @@ from incremental_mapper.candidates.model import Candidate
 from incremental_mapper.errors import InputError, OutputError
 from incremental_mapper.mapping.result import WindowResult
 from incremental_mapper.measurements import NANOSECONDS
-from incremental_mapper.selection.selector import Tried
+from incremental_mapper.selection.choice import Tried
 
 if TYPE_CHECKING:
     import pyarrow

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from incremental_mapper.config import Config, Tree, make_config, merge
+from incremental_mapper.config import Config, Tree, make_config, merge, read_yaml
 from incremental_mapper.datasets.open import open_source, read_truth
 from incremental_mapper.datasets.source import Source
 from incremental_mapper.errors import InputError
@@ -24,7 +24,7 @@ from incremental_mapper.mapping.load_shedding import READ_AHEAD
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.mapping.result import MapResult, WindowResult
 from incremental_mapper.results.candidate_table import FILE_NAME, MISSING, candidate_recorder
-from incremental_mapper.results.run_folder import draw_result, write_result
+from incremental_mapper.results.run_folder import draw_result, prepare_folder, write_result
 from incremental_mapper.results.run_statistics import InputFacts, RunStatistics
 from incremental_mapper.results.trajectory_errors import trajectory_errors
 from incremental_mapper.trajectory import Trajectory
@@ -135,6 +135,48 @@ def map_into(
     write_result(folder, run.result, run.points, run.statistics.to_tree())
     undrawn = draw_result(folder, run.result, run.points, drive.truth)
     return run, remarks if undrawn is None else [*remarks, undrawn]
+
+
+def map_drive(
+    path: Path | str,
+    out: Path | str | None = None,
+    config: Path | str | Mapping[str, Any] | None = None,
+    *,
+    strategy: str | None = None,
+    truth: Path | str | None = None,
+    force: bool = False,
+) -> Run:
+    """Map an input from end to end, as the command ``map`` does.
+
+    Args:
+        path: KAIST folder, rosbag2 or ROS 1 bag, or a folder of scans.
+        out: Folder for all files and pictures, see ``run_folder``; None writes nothing.
+        config: A settings file, or its sections as nested dictionaries; the input's own settings
+            lie below them.
+        strategy: Replaces ``selection.strategy``.
+        truth: File of true poses, TUM or KAIST's ``global_pose.csv``; by default what lies in the
+            input.
+        force: Write into ``out`` although it is not empty.
+
+    Returns:
+        The run: trajectory and scans in the frame ``map``, the map's points (N, 3) in metres, and
+        the record of ``stats.json``.
+
+    Raises:
+        ConfigError: A setting or the strategy is unknown, or has a value that it cannot have.
+        InputError: The input or the truth cannot be read, or nothing of it could be used.
+        OutputError: The folder is taken, or a file cannot be written.
+    """
+    named = isinstance(config, (str, Path))
+    tree = read_yaml(Path(config)) if named else dict(config or {})  # type: ignore[arg-type]
+    if strategy is not None:
+        tree = merge(tree, {'selection': {'strategy': strategy}})
+    where = str(config) if named else 'settings'
+    drive = open_drive(Path(path), tree, where, None if truth is None else Path(truth))
+    if out is None:
+        return map_source(drive.source, drive.config, drive.truth)
+    prepare_folder(Path(out), force)
+    return map_into(Path(out), drive)[0]
 
 
 def map_source(

@@ -1,6 +1,6 @@
 """The Mutually Orthogonal Metric of a window's candidates (paper, section Evaluation Metric).
 
-The judging points and their neighbourhoods are found once per window, at the poses of one
+The query points and their neighbourhoods are found once per window, at the poses of one
 candidate. Each scan's part of a neighbourhood is kept as its moments, which any other candidate
 only shifts and turns; neighbours that come or go are corrected one by one. ``direct_score``
 searches the neighbourhoods of each candidate again, by other means.
@@ -53,20 +53,20 @@ class LocalMap:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class QueryPoints:
-    """Judging points of one window.
+    """Points at which the candidates of one window are judged.
 
     ``points`` (P, 3) stand at the reference, relative to the origin; ``scan`` (P,), ascending, says
-    whose they are: 0 the fixed points, then the moving scans. ``parts`` (P, 1 + S, 10) are the
+    whose they are: 0 the fixed points, then the moving scans. ``moments`` (P, 1 + S, 10) are the
     moments of each scan's part of a neighbourhood, at the reference and about the point. They hold
     under any candidate that drifts by no more than ``reach`` (P, 1 + S) metres, but for the
-    ``boundary``; ``grid`` gives the boundary for any other reach. ``weights`` (P,) of the query_points make the
+    pairs at the ``boundary``; ``grid`` gives those for any other reach. ``weights`` (P,) make the
     mean over families of the mean in each; ``families`` are those that count, and ``family`` (P,)
     is 0, 1 or 2.
     """
 
     points: NDArray[np.float64]
     scan: NDArray[np.int64]
-    parts: NDArray[np.float64]
+    moments: NDArray[np.float64]
     reach: NDArray[np.float64]
     boundary: BoundaryPairs
     grid: Grid
@@ -90,9 +90,9 @@ def choose_query_points(local_map: LocalMap, settings: MomSettings) -> QueryPoin
     points = _placed(local_map, bounds)
     queries, scan = points.take(seeds, axis=0), np.searchsorted(bounds, seeds, side='right') - 1
     grid = make_grid(points, bounds, settings.radius)
-    parts = scan_moments(grid, queries, settings.radius, len(bounds) - 1)
+    moments = scan_moments(grid, queries, settings.radius, len(bounds) - 1)
     # Alone, a scan has the same planes at any pose.
-    chosen, spread = shared_neighbourhoods(parts, scan, settings.min_neighbours)
+    chosen, spread = shared_neighbourhoods(moments, scan, settings.min_neighbours)
     found = smallest_eigen(spread)
     planar = np.flatnonzero(found.middle > settings.eigenvalue_ratio * found.values)
     if len(planar) == 0:
@@ -108,7 +108,7 @@ def choose_query_points(local_map: LocalMap, settings: MomSettings) -> QueryPoin
     return QueryPoints(
         points=queries,
         scan=scan,
-        parts=parts.take(chosen, axis=0),
+        moments=moments.take(chosen, axis=0),
         reach=reach,
         boundary=boundary,
         grid=grid,
@@ -126,8 +126,8 @@ def _reach(
     grid: Grid,
     settings: MomSettings,
 ) -> tuple[NDArray[np.float64], BoundaryPairs]:
-    """Reach and boundary of queries (P, 3) of the scans (P,) for candidates (C, 1 + S, 4, 4)."""
-    # Candidates that drift further would make rims that cost more than to search again for them.
+    """Reach and boundary pairs of queries (P, 3) of scans (P,) for candidates (C, 1 + S, 4, 4)."""
+    # Candidates that drift further would have so many pairs that searching again costs less.
     reach = largest_drifts(motions, queries, scan, settings.radius)
     return reach, find_boundary_pairs(grid, queries, settings.radius, reach + ROUNDING)
 
@@ -155,8 +155,9 @@ def fast_scores(
     """MOM in m^2 (C,) of candidates with the moving scans at ``poses`` (C, S, 4, 4).
 
     The values are those of ``direct_score``. Candidates that drift by more than the radius are
-    indeed searched again, unless ``exact`` is off: then those beyond the query_points' reach keep what
-    neighbours they had there. A candidate with poses that are not finite has the score NaN.
+    indeed searched again, unless ``exact`` is off: then those beyond the reach of the query points
+    keep what neighbours they had there. A candidate with poses that are not finite has the score
+    NaN.
     """
     scores = np.empty(len(poses))
     for start in range(0, len(poses), BATCH):
@@ -165,7 +166,7 @@ def fast_scores(
         values, near = _moved_scores(query_points, motions, settings, exact)
         far = np.flatnonzero(~near & finite & exact)
         if len(far):
-            # The same query_points with a longer reach are ready sooner than any search.
+            # The same query points with a longer reach are ready sooner than any search.
             reach, boundary = _reach(
                 motions[far], query_points.points, query_points.scan, query_points.grid, settings
             )
@@ -188,7 +189,7 @@ def _moved_scores(
         motions,
         query_points.points,
         query_points.scan,
-        query_points.parts,
+        query_points.moments,
         query_points.boundary,
         query_points.reach if exact else np.full_like(query_points.reach, np.inf),
         settings.radius,
@@ -203,7 +204,7 @@ def fast_score(
     local_map: LocalMap,
     settings: MomSettings,
 ) -> float:
-    """MOM in m^2 of the moving scans at ``poses`` (S, 4, 4), from the query_points' moments."""
+    """MOM in m^2 of the moving scans at ``poses`` (S, 4, 4), from the query points' moments."""
     return float(fast_scores(query_points, poses[None], local_map, settings)[0])
 
 
@@ -313,7 +314,7 @@ def _count_families(
 def _thin_families(
     labels: NDArray[np.int64], counted: tuple[int, ...], max_points: int
 ) -> NDArray[np.int64]:
-    """Positions of at most ``max_points`` query_points, ascending, shared evenly between families."""
+    """Positions of at most ``max_points`` points, ascending, shared evenly between families."""
     share = max(max_points // len(counted), 1)
     picks = []
     for family in counted:

@@ -5,8 +5,8 @@ move them by D_s = (R_s, τ_s) and D_t. With p = q + u they are then R_s(u + f) 
 f = R_sᵀ(D_s − D_t) q is the drift: it is the same for all points of the scan. So the moments of
 its points about q are shifted by f and turned by R_tᵀR_s, which brings those of all scans into
 one frame. The distance of a pair changes by at most |f|: pairs whose distance is further from the
-radius than any candidate's drift stay in or out. The few others, the boundary, are looked at again for
-every candidate.
+radius than any candidate's drift stay in or out. The few others, the boundary
+pairs, are looked at again for every candidate.
 """
 
 import numpy as np
@@ -28,7 +28,7 @@ def largest_drifts(
     """Largest drifts (Q, S) in metres of the candidates that drift by no more than ``limit``.
 
     ``motions`` (C, S, 4, 4) are the D_s, ``queries`` (Q, 3) those of the scans ``scan`` (Q,). The
-    other candidates would make rims that cost more than to search again for them alone.
+    other candidates would make boundaries that cost more than to search again for them alone.
     """
     rows = np.ascontiguousarray(queries.T)
     ends = np.searchsorted(scan, np.arange(motions.shape[1]), side='right')
@@ -40,22 +40,22 @@ def moved_covariances(
     motions: NDArray[np.float64],
     queries: NDArray[np.float64],
     scan: NDArray[np.int64],
-    parts: NDArray[np.float64],
+    moments: NDArray[np.float64],
     boundary: BoundaryPairs,
     reach: NDArray[np.float64],
     radius: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Covariances (6, C, Q) of neighbourhoods, xx, xy, xz, yy, yz, zz, as candidates move them.
 
-    ``motions`` (C, S, 4, 4) are the D_s; ``queries`` (Q, 3), ``scan`` (Q,), the moments ``parts``
-    (Q, S, 10) and the ``boundary`` are those of the reference. Also tells which candidates (C,) drift by
-    no more than ``reach`` (Q, S); the covariances of the others are NaN.
+    ``motions`` (C, S, 4, 4) are the D_s; ``queries`` (Q, 3), ``scan`` (Q,), the moments ``moments``
+    (Q, S, 10) and the pairs at the ``boundary`` are those of the reference. Also tells which
+    candidates (C,) drift by no more than ``reach`` (Q, S); the covariances of the others are NaN.
     """
     return _moved(
         np.ascontiguousarray(motions),
         queries,
         scan,
-        parts,
+        moments,
         boundary.starts,
         boundary.apart,
         boundary.inside,
@@ -145,7 +145,7 @@ def _moved(
     motions: NDArray[np.float64],
     queries: NDArray[np.float64],
     scan: NDArray[np.int64],
-    parts: NDArray[np.float64],
+    moments: NDArray[np.float64],
     starts: NDArray[np.int64],
     apart: NDArray[np.float64],
     inside: NDArray[np.bool_],
@@ -174,7 +174,7 @@ def _moved(
                 if not f * f + g * g + h * h <= allowed[q, s]:
                     near[c] = False
                     break
-                p = parts[q, s]
+                p = moments[q, s]
                 xx, xy, xz, x = p[0], p[1], p[2], p[3]
                 yy, yz, y, zz, z, n = p[4], p[5], p[6], p[7], p[8], p[9]
                 for i in range(starts[q, s], starts[q, s + 1]):

@@ -77,14 +77,14 @@ def scan_moments(
 
 
 def shared_neighbourhoods(
-    parts: NDArray[np.float64], scan: NDArray[np.int64], least: int
+    moments: NDArray[np.float64], scan: NDArray[np.int64], least: int
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Which queries have at least so many points around, and some of another scan than their own.
 
-    ``parts`` (Q, S, 10) are the moments and ``scan`` (Q,) the queries' own scans. Comes with the
+    ``moments`` (Q, S, 10) are the moments and ``scan`` (Q,) the queries' own scans. Comes with the
     covariances (6, K) of the neighbourhoods, xx, xy, xz, yy, yz, zz.
     """
-    chosen, spread, kept = _shared(parts, scan, least)
+    chosen, spread, kept = _shared(moments, scan, least)
     return chosen[:kept], spread[:, :kept]
 
 
@@ -107,8 +107,8 @@ def moments_around(
     """
     points = np.ascontiguousarray(points, dtype=np.float64)
     grid = make_grid(points, np.array([0, len(points)]), radius)
-    parts = scan_moments(grid, np.ascontiguousarray(places, dtype=np.float64), radius, 1)
-    return np.ascontiguousarray(parts[:, 0].T)
+    moments = scan_moments(grid, np.ascontiguousarray(places, dtype=np.float64), radius, 1)
+    return np.ascontiguousarray(moments[:, 0].T)
 
 
 @kernel
@@ -217,22 +217,22 @@ def _moments(
 
 @kernel
 def _shared(
-    parts: NDArray[np.float64], scan: NDArray[np.int64], least: int
+    moments: NDArray[np.float64], scan: NDArray[np.int64], least: int
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], int]:
     """See shared_neighbourhoods; what is behind the first so many is void."""
-    count, scans = parts.shape[0], parts.shape[1]
+    count, scans = moments.shape[0], moments.shape[1]
     chosen, spread, kept = np.empty(count, dtype=np.int64), np.empty((6, count)), 0
     m = np.empty(10)
     for q in range(count):
         total = 0.0
         for s in range(scans):
-            total += parts[q, s, 9]
-        if not total >= max(least, 1) or total == parts[q, scan[q], 9]:
+            total += moments[q, s, 9]
+        if not total >= max(least, 1) or total == moments[q, scan[q], 9]:
             continue
         for i in range(10):
             m[i] = 0.0
             for s in range(scans):
-                m[i] += parts[q, s, i]
+                m[i] += moments[q, s, i]
             m[i] /= total
         spread[0, kept], spread[1, kept] = m[0] - m[3] * m[3], m[1] - m[3] * m[6]
         spread[2, kept], spread[3, kept] = m[2] - m[3] * m[8], m[4] - m[6] * m[6]

@@ -8,8 +8,10 @@ placed yet where dead reckoning from its last cluster puts them.
 """
 
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache, partial
+from typing import TypeAlias
 
 import gtsam
 import numpy as np
@@ -17,18 +19,14 @@ from numpy.typing import NDArray
 
 from incremental_mapper.candidates.model import HEAD, Candidate, Cluster, Connection
 from incremental_mapper.candidates.partitions import make_cluster
-from incremental_mapper.config import MomSettings
 from incremental_mapper.graph.values import bias_key, copy_value, pose_key, velocity_key
-from incremental_mapper.scoring.strategies import (
-    Criterion,
-    Mom,
-    Proposal,
-    StrategyPlan,
-    score_all,
-)
-from incremental_mapper.selection.window_problem import Task
+from incremental_mapper.scoring.criteria import Criterion, Proposal
+from incremental_mapper.selection.window_problem import WindowProblem
 from incremental_mapper.smoothing.marginal_prior import MarginalPrior, marginalise
 from incremental_mapper.smoothing.smoother import smoother_update
+
+MakeCriterion: TypeAlias = Callable[[WindowProblem, Sequence[Proposal], bool], Criterion]
+"""Makes a window's criterion for some candidates; the last argument asks for exact values."""
 
 SHAKE = 0.04
 """Metres that scans are expected to move against each other between the prefixes of a window."""
@@ -54,35 +52,41 @@ class Prefix:
 
 
 def beam_search(
-    task: Task, plan: StrategyPlan, mom: MomSettings, width: int, seconds: float
+    problem: WindowProblem, make_criterion: MakeCriterion, width: int, seconds: float
 ) -> list[Candidate]:
-    """The most promising complete candidates, best first; empty where no prefix got through.
+    """The most promising complete candidates.
 
-    Keeps ``width`` prefixes of every length, and fewer as soon as the search would else take
-    longer than ``seconds``.
+    Args:
+        problem: The window.
+        make_criterion: Makes the criterion that judges prefixes and candidates alike.
+        width: Prefixes of every length that are kept.
+        seconds: Fewer are kept as soon as the search would else take longer.
+
+    Returns:
+        Complete candidates, best first; empty where no prefix got through.
     """
-    return _Search(task, plan, mom, width, seconds).run()
+    return _Search(problem, make_criterion, width, seconds).run()
 
 
 class _Search:
     def __init__(
-        self, task: Task, plan: StrategyPlan, mom: MomSettings, width: int, seconds: float
+        self, problem: WindowProblem, make_criterion: MakeCriterion, width: int, seconds: float
     ) -> None:
-        self._task = task
+        self._problem = problem
+        self._frontier = problem.inputs.frontier
         self._most = width
         self._seconds = seconds
-        self._scene = plan.local_map
         self._initial = gtsam.Values()  # of every variable that any prefix has
         self._clusters: dict[tuple[int, int], Cluster | None] = {}
-        self._continued = task.factors.continued_scans()
-        self._criterion = self._make_criterion(plan, mom)
+        self._continued = problem.factors.continued_scans()
+        self._criterion = self._make(make_criterion)
 
     def run(self) -> list[Candidate]:
-        task, count = self._task, len(self._task.elements)
+        problem, count = self._problem, len(self._problem.elements)
         start = Candidate((), ())
-        node = None if task.head is None else HEAD
+        node = None if problem.head is None else HEAD
         layers: list[list[Prefix]] = [[] for _ in range(count + 1)]
-        layers[0].append(Prefix(0, start, node, task.prior, 0.0))
+        layers[0].append(Prefix(0, start, node, problem.prior, 0.0))
         began, extended = time.perf_counter(), 0
         for position in range(count):
             layer, layers[position] = layers[position], []
@@ -99,10 +103,10 @@ class _Search:
         if not layer:
             return []
         proposals = [
-            Proposal(prefix.candidate, prefix.cost, self._poses(prefix) if self._scene else None)
+            Proposal(prefix.candidate, prefix.cost, partial(self._poses, prefix))
             for prefix in layer
         ]
-        scores = score_all(self._criterion, proposals)
+        scores = self._criterion.scores(proposals)
         order = sorted(range(len(layer)), key=lambda i: (scores[i], layer[i].candidate.vertices))
         return [layer[i] for i in order[:count]]
 
@@ -113,7 +117,7 @@ class _Search:
             return width
         spent = time.perf_counter() - began
         left = max(self._seconds - spent, 0.0)
-        layers = len(self._task.elements) - position
+        layers = len(self._problem.elements) - position
         # One prefix has had so many extensions on average, each of them so long.
         branching = extended / max(position, 1) / width
         affordable = left / layers / (spent / extended) / max(branching, 1.0)
@@ -121,12 +125,12 @@ class _Search:
 
     def _extensions(self, prefix: Prefix) -> Iterator[Prefix]:
         """The prefix with one more cluster, in every way that may still come out connected."""
-        count = len(self._task.elements)
+        count = len(self._problem.elements)
         for last in range(prefix.position, count):
             cluster = self._cluster(prefix.position, last)
             if cluster is None:
                 return
-            if cluster.time_range and not self._task.may_merge:
+            if cluster.time_range and not self._problem.may_merge:
                 return
             # The chain of connections visits the cluster, or goes on from the node before it;
             # the window's last cluster is always visited.
@@ -138,23 +142,23 @@ class _Search:
     def _goes_on(self, prefix: Prefix, position: int) -> bool:
         """Whether a cluster from ``position`` on can be connected to the prefix's node."""
         stamp = self._node_stamp(prefix)
-        later = (part[0].stamp for part in self._task.elements[position:])
+        later = (part[0].stamp for part in self._problem.elements[position:])
         return stamp is not None and any(
-            self._task.imu.first_sample(stamp, other) is not None for other in later
+            self._problem.imu.first_sample(stamp, other) is not None for other in later
         )
 
     def _node_stamp(self, prefix: Prefix) -> int | None:
         if prefix.node is None:
             return None
         if prefix.node == HEAD:
-            return self._task.head
+            return self._problem.head
         return prefix.candidate.clusters[prefix.node].stamp
 
     def _link(self, prefix: Prefix, cluster: Cluster) -> Connection | None:
         stamp = self._node_stamp(prefix)
         if stamp is None or prefix.node is None:
             return None
-        first = self._task.imu.first_sample(stamp, cluster.stamp)
+        first = self._problem.imu.first_sample(stamp, cluster.stamp)
         if first is None:
             return None
         end = len(prefix.candidate.clusters)
@@ -169,20 +173,24 @@ class _Search:
         )
         if link is None and not self._can_connect(candidate, cluster, node):
             return
-        factors = self._task.factors
+        factors, number = self._problem.factors, self._problem.partitions.number
         made = [
             factor.factor
             for factor in factors.factors(candidate, since=len(prefix.candidate.clusters))
         ]
-        factors.add_initial(candidate, self._initial)
+        self._problem.guess.add(candidate, self._initial)
         fresh = gtsam.Values()
-        own = {pose_key(factors.local_id(cluster))}
+        local = number(cluster)
+        own = {pose_key(local)}
         for key in own.union(*(factor.keys() for factor in made)):
             if not prefix.prior.base.exists(key):
                 copy_value(self._initial, key, fresh)
-        local = factors.local_id(cluster)
         grown, cost = smoother_update(
-            prefix.prior, made, fresh, {local: cluster.stamp}, self._task.max_iterations
+            prefix.prior,
+            made,
+            fresh,
+            {local: cluster.stamp},
+            self._problem.config.graph.max_iterations,
         )
         if not grown.healthy:
             return
@@ -193,17 +201,17 @@ class _Search:
         """Whether an unlinked cluster hangs, or may come to hang, on something else."""
         if node == len(candidate.clusters) - 1:
             return True  # the chain goes on from here
-        if len(candidate.clusters) == 1 and self._task.head is None:
+        if len(candidate.clusters) == 1 and self._problem.head is None:
             return True
         return any(
-            self._task.factors.has_odometry(core) or (core.sensor, core.stamp) in self._continued
+            self._problem.factors.has_odometry(core) or (core.sensor, core.stamp) in self._continued
             for core in cluster.members
         )
 
     def _needed(self, candidate: Candidate, node: int | None) -> set[int]:
         """Variables that later factors may touch."""
-        factors = self._task.factors
-        homes = factors.home(candidate)
+        number = self._problem.partitions.number
+        homes = self._problem.partitions.of(candidate).homes
         newest: dict[str, int] = {}
         for sensor, stamp in homes:
             newest[sensor] = max(stamp, newest.get(sensor, stamp))
@@ -212,15 +220,15 @@ class _Search:
         inertial = set[int]()
         if candidate.connections:
             last = candidate.clusters[candidate.connections[-1].end]
-            inertial.add(factors.local_id(last))
-        elif self._task.inertial_cluster is not None:
-            inertial.add(self._task.inertial_cluster)
+            inertial.add(number(last))
+        elif self._frontier.inertial is not None:
+            inertial.add(self._frontier.inertial)
         if node is not None:
             if node == HEAD:
-                assert self._task.head_cluster is not None
-                own = self._task.head_cluster
+                assert self._frontier.head is not None
+                own = self._frontier.head
             else:
-                own = factors.local_id(candidate.clusters[node])
+                own = number(candidate.clusters[node])
             needed.add(pose_key(own))
             inertial.add(own)
         for cluster in inertial:
@@ -229,39 +237,48 @@ class _Search:
 
     def _cluster(self, first: int, last: int) -> Cluster | None:
         if (first, last) not in self._clusters:
-            self._clusters[first, last] = make_cluster(self._task.elements, first, last)
+            self._clusters[first, last] = make_cluster(self._problem.elements, first, last)
         return self._clusters[first, last]
 
     def _poses(self, prefix: Prefix) -> NDArray[np.float64]:
         """Poses of all moving scans, those of the rest of the window by dead reckoning."""
-        factors, values = self._task.factors, prefix.prior.values
+        states, number = self._problem.inputs.states, self._problem.partitions.number
+        values = prefix.prior.values
         clusters = list(prefix.candidate.clusters)
         correction = gtsam.Pose3()
         if clusters:
             last = clusters[-1]
-            before = factors.predicted(last.stamp)
-            correction = values.atPose3(pose_key(factors.local_id(last))).compose(before.inverse())
-        for index in range(prefix.position, len(self._task.elements)):
+            before = states[last.stamp].pose
+            correction = values.atPose3(pose_key(number(last))).compose(before.inverse())
+        for index in range(prefix.position, len(self._problem.elements)):
             single = self._cluster(index, index)
             assert single is not None
-            pose = correction.compose(factors.predicted(single.stamp))
-            values.insert(pose_key(factors.local_id(single)), pose)
+            pose = correction.compose(states[single.stamp].pose)
+            values.insert(pose_key(number(single)), pose)
             clusters.append(single)
 
         def pose_of(key: int) -> gtsam.Pose3 | None:
             return values.atPose3(key) if values.exists(key) else None
 
-        return self._task.local_maps.poses(Candidate(tuple(clusters), ()), pose_of)
+        return self._problem.local_maps.poses(Candidate(tuple(clusters), ()), pose_of)
 
-    def _make_criterion(self, plan: StrategyPlan, mom: MomSettings) -> Criterion:
-        if not plan.local_map:
-            return plan.make(None, mom, False)
-        poses = self._poses(Prefix(0, Candidate((), ()), None, self._task.prior, 0.0))
-        if len(poses) == 0:
-            return plan.make(None, mom, False)
-        criterion = plan.make(self._task.local_maps.local_map([poses, *_shaken(poses)]), mom, False)
-        # Nobody knows yet where the prefixes will put the scans; the finalists are judged exactly.
-        return replace(criterion, exact=False) if isinstance(criterion, Mom) else criterion
+    def _make(self, make_criterion: MakeCriterion) -> Criterion:
+        """The criterion for prefixes, which nobody knows yet where they will put the scans.
+
+        It foresees them near dead reckoning; the finalists are judged exactly, elsewhere.
+        """
+        start = Prefix(0, Candidate((), ()), None, self._problem.prior, 0.0)
+
+        @cache
+        def foreseen() -> list[NDArray[np.float64]]:
+            poses = self._poses(start)
+            return [poses, *_shaken(poses)]
+
+        proposals = [
+            Proposal(start.candidate, None, lambda which=which: foreseen()[which])  # type: ignore[misc]
+            for which in range(3)
+        ]
+        return make_criterion(self._problem, proposals, False)
 
 
 def _shaken(poses: NDArray[np.float64]) -> list[NDArray[np.float64]]:

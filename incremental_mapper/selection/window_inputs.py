@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from incremental_mapper.config import Config
 from incremental_mapper.frontend.dead_reckoning import State, predict
 from incremental_mapper.frontend.front_end import Prepared, PreparedFix
-from incremental_mapper.frontend.gnss import IDENTITY_ALIGNMENT, Alignment
 from incremental_mapper.frontend.imu_preintegration import ImuSeries, level_rotation
 from incremental_mapper.graph.factor_builder import WindowInputs
 from incremental_mapper.measurements import NANOSECONDS
@@ -47,7 +46,7 @@ def window_inputs(
         frontier=frontier,
         head_state=start,
         scan_offsets=state.scan_offsets,
-        alignment=_alignment(items, state, states, config),
+        enu_offset=_enu_offset(items, state, states, config),
         fix_inflation=fix_spread(state, items),
         config=config,
     )
@@ -83,18 +82,19 @@ def _first_state(
     )
 
 
-def _alignment(
+def _enu_offset(
     items: Sequence[Prepared], state: GraphState, states: Mapping[int, State], config: Config
-) -> Alignment:
-    """How ENU sits in the map; before the first fix is used, it would define it."""
-    if state.alignment is not None:
-        return state.alignment
+) -> NDArray[np.float64]:
+    """Where ENU's origin lies in the map; before the first fix is used, that fix defines it."""
+    if state.enu_offset is not None:
+        return state.enu_offset
     for item in items:
         if isinstance(item, PreparedFix):
             arm = config.gnss.matrix()[:3, 3]
             antenna = states[item.core.stamp].pose.transformFrom(arm)
-            return Alignment(yaw=0.0, offset=antenna - item.enu)
-    return IDENTITY_ALIGNMENT
+            offset: NDArray[np.float64] = antenna - item.enu
+            return offset
+    return np.zeros(3)
 
 
 def fix_spread(state: GraphState, items: Sequence[Prepared]) -> Mapping[int, float]:

@@ -1,8 +1,8 @@
-"""Solving small graphs, and marginals that stand in for the rest of G(t).
+"""Whole graphs at once: the final solve, and the elimination of all but the frontier.
 
 GTSAM returns without a word on under-constrained graphs and on NaN, so every result is checked
-for finite numbers here; QR is used throughout because Cholesky breaks down on the weakly held
-velocities and biases that candidates are full of.
+for finite numbers here. Both use QR: on long chains that hardly anything anchors, Cholesky breaks
+down. Candidates and windows are solved elsewhere, by normal equations (``gauss_newton``).
 """
 
 from collections.abc import Iterable, Sequence
@@ -12,9 +12,7 @@ import gtsam
 import numpy as np
 
 from incremental_mapper.graph.values import kind_of
-
-LOOSE = 1e3
-"""Standard deviation, metres or radians and so on, of what holds undetermined variables."""
+from incremental_mapper.smoothing.linear_system import REGULARISING_SIGMA
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,8 +73,8 @@ def eliminate(
 ) -> Elimination:
     """Eliminate variables in the given order; in time order nothing fills in.
 
-    Variables that the graph leaves undetermined are held where they are, so loosely that it
-    shows nowhere else.
+    Variables that the graph leaves undetermined get a regularising prior where they are, so weak
+    that it shows nowhere else.
     """
     linear = graph.linearize(values)
     conditional, rest = gtsam.GaussianBayesNet(), linear
@@ -87,7 +85,9 @@ def eliminate(
         try:
             conditional, rest = linear.eliminatePartialSequential(ordering, gtsam.EliminateQR)
         except RuntimeError:
-            held = make_graph([*(graph.at(i) for i in range(graph.size())), *_held(graph, values)])
+            held = make_graph(
+                [*(graph.at(i) for i in range(graph.size())), *_regularising(graph, values)]
+            )
             conditional, rest = held.linearize(values).eliminatePartialSequential(
                 ordering, gtsam.EliminateQR
             )
@@ -103,12 +103,14 @@ def eliminate(
     )
 
 
-def _held(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> list[gtsam.NonlinearFactor]:
-    """Very loose priors at the present values on every variable of a graph."""
+def _regularising(
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values
+) -> list[gtsam.NonlinearFactor]:
+    """Regularising priors at the present values on every variable of a graph."""
     priors: list[gtsam.NonlinearFactor] = []
     for key in graph.keyVector():
         kind = kind_of(key)
-        model = gtsam.noiseModel.Isotropic.Sigma(3 if kind == 'v' else 6, LOOSE)
+        model = gtsam.noiseModel.Isotropic.Sigma(3 if kind == 'v' else 6, REGULARISING_SIGMA)
         if kind == 'x':
             priors.append(gtsam.PriorFactorPose3(key, values.atPose3(key), model))
         elif kind == 'v':

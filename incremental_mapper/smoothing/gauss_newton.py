@@ -1,4 +1,8 @@
-"""Solving sets of factors on top of a prior: one by itself, or many that share most of it."""
+"""Gauss-Newton on top of a marginal prior: one set of factors, or many that share most of it.
+
+GTSAM evaluates and linearises the factors. The steps are solved by normal equations, refined once,
+since problems are small and there are many; ``batch`` solves whole graphs, by QR.
+"""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -9,9 +13,17 @@ import numpy as np
 
 from incremental_mapper.graph.values import kind_of
 from incremental_mapper.smoothing.batch import make_graph
-from incremental_mapper.smoothing.linear_system import Prior, Rest, System
+from incremental_mapper.smoothing.linear_system import (
+    Array,
+    Indices,
+    Layout,
+    PriorRows,
+    Rest,
+    System,
+    layout_of,
+    linearised,
+)
 from incremental_mapper.smoothing.marginal_prior import MarginalPrior
-from incremental_mapper.smoothing.tangent_layout import Array, Indices, Layout, layout_of
 
 AGREEMENT = 1e-4
 """A solve has converged where the linear error is the true one, or the step makes the linear
@@ -31,7 +43,8 @@ class Solved:
     """Optimised variables: ``step`` (n,) away from where they are in ``start``.
 
     ``error`` is Σ‖h(x)−z‖²_Σ of the factors, ``cost`` the same with what the prior says against
-    the step. ``system`` is all of it, linear somewhere near. ``eliminated`` are the prior's.
+    the step. ``system`` is all of it, linear somewhere near. ``eliminated`` is the layout of the
+    variables that the prior eliminated.
     ``graph`` holds the factors; where it is None, the errors are those of the linear system.
     """
 
@@ -52,15 +65,15 @@ class Solved:
 
     @property
     def values(self) -> gtsam.Values:
-        """All estimates, those of eliminated included."""
+        """All estimates, those of eliminated variables included."""
         values, known, prior = self.own(), self.system.known, self.prior
         moved = prior.pending_delta + prior.gains @ self.system.total[:known]
-        followed = prior.base.extract(prior.eliminated)
-        values.insert(followed.retract(self.eliminated.vector_values(moved)))
+        before = prior.base.extract(prior.eliminated)
+        values.insert(before.retract(self.eliminated.vector_values(moved)))
         return values
 
     def pose(self, key: int) -> gtsam.Pose3 | None:
-        """Estimate of one pose; None where it is neither solved for nor a follower."""
+        """Estimate of one pose; None where it is neither solved for nor eliminated."""
         if (place := self.system.layout.places.get(key)) is not None:
             return self.start.atPose3(key).retract(self.step[place])
         if (place := self.eliminated.places.get(key)) is not None:
@@ -72,21 +85,21 @@ class Solved:
         """The system, linearised at the solution."""
         if self.graph is None or not self.step.any():
             return self.system
-        return self.system.relinearized(*_rows(self.system.layout, self.graph, self.own()))
+        return self.system.relinearized(*linearised(self.system.layout, self.graph, self.own()))
 
 
 class Problem:
     """Solves sets of factors on top of a prior, each by itself.
 
-    ``initial`` holds the new variables. The prior's eliminated are moved along.
+    ``initial`` holds the new variables. What the prior eliminated moves along.
     """
 
     def __init__(self, prior: MarginalPrior, initial: gtsam.Values, max_iterations: int) -> None:
-        self._marginal = prior
+        self._prior = prior
         self._eliminated = layout_of(prior.eliminated)
         self._known = layout_of(prior.keys)
         self._max_iterations = max_iterations
-        self._prior = Prior(prior.root)
+        self._rows = PriorRows(prior.root)
         # How far the frontier's ``values`` are from those of the prior.
         self._total = np.zeros(self._known.size)
         self._rhs = prior.rhs
@@ -99,13 +112,13 @@ class Problem:
         """Gauss-Newton; None where the result would not be finite.
 
         Solves for all variables that the factors touch, and ``variables`` besides. Each one that
-        is new is also held at its initial value, so loosely (LOOSE) that it shows only where the
-        factors leave it undetermined.
+        is new also gets a regularising prior at its initial value, so weak that it shows only
+        where the factors leave it undetermined.
         """
         graph = make_graph(factors)
         layout = self._known.followed_by([*variables, *graph.keyVector()])
         values = self.values.extract(layout.keys)
-        system = self._system(layout, *_rows(layout, graph, values))
+        system = self._system(layout, *linearised(layout, graph, values))
         return self._descend(graph, values, system)
 
     def refine(self, solved: Solved, factors: Iterable[gtsam.NonlinearFactor]) -> Solved | None:
@@ -113,7 +126,7 @@ class Problem:
         if solved.graph is not None:
             return solved
         graph, values = make_graph(factors), solved.own()
-        system = solved.system.relinearized(*_rows(solved.system.layout, graph, values))
+        system = solved.system.relinearized(*linearised(solved.system.layout, graph, values))
         return self._descend(graph, values, system)
 
     def _descend(
@@ -139,23 +152,25 @@ class Problem:
             if not better:
                 break  # no shorter step helps either: this is as good as it gets
             small = AGREEMENT * (1.0 + expected.error)
-            settled = abs(reached - expected.error) <= small or system.cost - expected.cost <= small
+            converged = (
+                abs(reached - expected.error) <= small or system.cost - expected.cost <= small
+            )
             start, last, values, error, system = values, step, moved, reached, expected
             cost = error + system.prior_error
-            if settled:
+            if converged:
                 break
-            system = system.relinearized(*_rows(layout, graph, values))
+            system = system.relinearized(*linearised(layout, graph, values))
             start, last = values, np.zeros(layout.size)
         if not np.isfinite(error):
             return None
         return self._solved(start, last, error, system, graph)
 
     def _system(self, layout: Layout, rows: Array, rhs: Array) -> System:
-        """MarginalPrior and factors around ``values``."""
+        """The prior and factors around ``values``."""
         total = np.zeros(layout.size)
         total[: len(self._total)] = self._total
         rest = Rest(self._rhs, np.zeros(layout.size - len(self._total)), rhs)
-        return System(self._prior, layout, rows, rest, total)
+        return System(self._rows, layout, rows, rest, total)
 
     def _solved(
         self,
@@ -166,7 +181,7 @@ class Problem:
         graph: gtsam.NonlinearFactorGraph | None,
     ) -> Solved:
         return Solved(
-            prior=self._marginal,
+            prior=self._prior,
             eliminated=self._eliminated,
             start=start,
             step=step,
@@ -228,7 +243,7 @@ class SharedProblem(Problem):
         """Linearise the later sets around this solution."""
         self._started = True
         self._total = solved.system.total[: self._known.size].copy()
-        self._rhs = self._marginal.rhs - self._marginal.root @ self._total
+        self._rhs = self._prior.rhs - self._prior.root @ self._total
         self.values.update(solved.own())
 
     def _gathered(self, linear: Sequence['_Linear'], layout: Layout) -> tuple[Array, Array]:
@@ -321,18 +336,8 @@ def _is_near(step: Array, layout: Layout) -> bool:
 def linear_system(
     prior: MarginalPrior, layout: Layout, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values
 ) -> System:
-    """MarginalPrior and factors, linearised at ``values``."""
-    rows, rhs = _rows(layout, graph, values)
-    loose = np.zeros(layout.size - prior.root.shape[1])
+    """The prior and factors, linearised at ``values``."""
+    rows, rhs = linearised(layout, graph, values)
+    regularising = np.zeros(layout.size - prior.root.shape[1])
     total = np.zeros(layout.size)
-    return System(Prior(prior.root), layout, rows, Rest(prior.rhs, loose, rhs), total)
-
-
-def _rows(
-    layout: Layout, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values
-) -> tuple[Array, Array]:
-    """Whitened factors (r, n) and their right-hand sides (r,)."""
-    augmented = graph.linearize(values).augmentedJacobian()
-    rows = np.zeros((len(augmented), layout.size))
-    rows[:, layout.columns(graph.keyVector())] = augmented[:, :-1]
-    return rows, augmented[:, -1].copy()
+    return System(PriorRows(prior.root), layout, rows, Rest(prior.rhs, regularising, rhs), total)

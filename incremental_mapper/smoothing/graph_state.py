@@ -7,16 +7,18 @@ from dataclasses import dataclass, field
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
+from scipy.cluster.hierarchy import DisjointSet
 
 from incremental_mapper.candidates.model import Cluster
 from incremental_mapper.config import MOST_SUBMAP_SCANS
-from incremental_mapper.frontend.gnss import Alignment
-from incremental_mapper.graph.connectivity import UnionFind
-from incremental_mapper.graph.factors import Factor
+from incremental_mapper.graph.factors import BETWEEN_STATES, Factor
 from incremental_mapper.graph.frontier import Frontier
 from incremental_mapper.graph.values import bias_key, cluster_of, kind_of, pose_key, velocity_key
 from incremental_mapper.map.store import MemoryStore, PointStore, StoredPoints
-from incremental_mapper.smoothing.marginal_prior import MarginalPrior
+from incremental_mapper.smoothing.marginal_prior import MarginalPrior, marginalise
+
+KNOWN_VELOCITY = 0.5
+"""m/s; a velocity with a smaller standard deviation may be used to predict motion."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,15 +67,27 @@ def _recent_scans() -> deque[tuple[PlacedScan, NDArray[np.float64]]]:
 
 @dataclass(slots=True)
 class GraphState:
-    """All that the mapper remembers.
+    """All that the mapper remembers; it is changed through its methods alone.
 
-    ``store`` keeps the points of the scans. ``prior`` is the newest part, ``values`` what has
-    left it; ``recent`` are the newest scans with their points (M, 3) for scoring.
-    ``scan_offsets`` is T_cluster_scan of each LiDAR's last scan. ``last_velocity`` and
-    ``last_bias`` are the newest ones; ``velocity_known`` says that the graph has pinned the
-    velocity down since the start.
-    ``alignment`` is how ENU sits in the map; ``georeferenced`` says that the map is ENU.
-    ``factor_counts`` are the factors by kind, ``inertial`` the clusters with velocity and bias.
+    Attributes:
+        store: Keeps the points of the scans.
+        clusters: All clusters, each at the place of its number.
+        factors: All factors.
+        scans: All scans.
+        recent: The newest scans with their points (M, 3) in base_link for scoring.
+        fixes: All fixes.
+        prior: The newest part of G(t), which still changes.
+        values: Final values of the variables that have left it.
+        components: Which variables hang together by measurements.
+        frontier: What a new factor may touch.
+        scan_offsets: T_cluster_scan of each LiDAR's last scan, by sensor and stamp (ns).
+        last_velocity: The newest velocity (3,), m/s in the map.
+        last_bias: The newest IMU bias.
+        velocity_known: Whether the graph has pinned the velocity down since the start.
+        enu_offset: Where ENU's origin lies in the map, (3,) metres; None before the first fix.
+        georeferenced: Whether the map is ENU.
+        factor_counts: Factors by kind.
+        inertial: Clusters with velocity and bias.
     """
 
     store: PointStore = field(default_factory=MemoryStore)
@@ -84,25 +98,18 @@ class GraphState:
     fixes: list[PlacedFix] = field(default_factory=list)
     prior: MarginalPrior = field(default_factory=MarginalPrior)
     values: gtsam.Values = field(default_factory=gtsam.Values)
-    components: UnionFind[int] = field(default_factory=UnionFind)
+    components: DisjointSet = field(default_factory=DisjointSet)
     frontier: Frontier = field(default_factory=Frontier)
     scan_offsets: dict[tuple[str, int], gtsam.Pose3] = field(default_factory=dict)
     last_velocity: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
     last_bias: gtsam.imuBias.ConstantBias = field(default_factory=gtsam.imuBias.ConstantBias)
     velocity_known: bool = False
-    alignment: Alignment | None = None
+    enu_offset: NDArray[np.float64] | None = None
     georeferenced: bool = False
     factor_counts: Counter[str] = field(default_factory=Counter)
     inertial: set[int] = field(default_factory=set)
 
-    def add_factors(self, made: Sequence[Factor]) -> None:
-        """Append factors, and count them so that statistics cost the same all along a drive."""
-        self.factors.extend(made)
-        for factor in made:
-            self.factor_counts[str(factor.kind)] += 1
-            for key in factor.keys:
-                if kind_of(key) == 'v':
-                    self.inertial.add(cluster_of(key))
+    # --- what it is asked
 
     def pose(self, cluster: int) -> gtsam.Pose3:
         """Newest estimate of a cluster's pose T_map_base."""
@@ -137,10 +144,103 @@ class GraphState:
         values.insert(self.prior.values)
         return values
 
-    def keep(self, gone: gtsam.Values) -> None:
-        """Store variables that left the lag."""
-        self.values.insert(gone)
-
     def holder(self, key: int) -> gtsam.Values:
         """The values that hold a variable's newest estimate."""
         return self.prior.holder(key) if self.prior.base.exists(key) else self.values
+
+    # --- how it changes, window by window
+
+    def add_clusters(
+        self,
+        clusters: Sequence[PlacedCluster],
+        scans: Sequence[tuple[PlacedScan, NDArray[np.float64]]],
+        fixes: Sequence[PlacedFix],
+    ) -> None:
+        """Append clusters and what they are made of.
+
+        Args:
+            clusters: Numbered on from those that are there.
+            scans: Each with its points (M, 3) in base_link for scoring.
+            fixes: Their places in ``factors`` count the factors to come.
+        """
+        self.clusters.extend(clusters)
+        self.scans.extend(scan for scan, _ in scans)
+        self.recent.extend(scans)
+        self.fixes.extend(fixes)
+
+    def add_factors(self, made: Sequence[Factor], prior: MarginalPrior) -> None:
+        """Append factors, with the marginal prior that holds what they say.
+
+        They are counted here, so that statistics cost the same all along a drive.
+        """
+        self.prior = prior
+        self.factors.extend(made)
+        for factor in made:
+            self.factor_counts[str(factor.kind)] += 1
+            for key in factor.keys:
+                if kind_of(key) == 'v':
+                    self.inertial.add(cluster_of(key))
+            # What carries velocity and bias over is no measurement: what only that holds
+            # together counts as apart.
+            if factor.kind not in BETWEEN_STATES:
+                for key in factor.keys:
+                    self.components.add(key)
+                    self.components.merge(factor.keys[0], key)
+
+    def define_enu(self, offset: NDArray[np.float64]) -> None:
+        """Note where ENU's origin lies in the map, (3,) metres, until the map is ENU."""
+        self.enu_offset = offset
+
+    def advance(
+        self, frontier: Frontier, predicted_velocity: NDArray[np.float64], oldest: int
+    ) -> None:
+        """Move the frontier on, and marginalise what it leaves behind.
+
+        Args:
+            frontier: The new one.
+            predicted_velocity: The newest velocity (3,), m/s in the map, where the graph has none.
+            oldest: Stamp (ns) before which eliminated variables no longer change.
+        """
+        self.frontier = frontier
+        chains = frontier.chains
+        self.scan_offsets = {
+            (scan.sensor, scan.stamp): scan.T_cluster_scan
+            for scan in self.scans[-50 * max(len(chains), 1) :]
+            if chains.get(scan.sensor, (0, -1))[1] == scan.stamp
+        }
+        head = frontier.head
+        if head is not None and frontier.head_inertial:
+            self.last_velocity, self.last_bias = self.velocity(head), self.bias(head)
+            self.velocity_known = self.velocity_known or self._pins_velocity(head)
+        else:
+            self.last_velocity = predicted_velocity
+        self.prior, gone = marginalise(self.prior, frontier.keys(), oldest)
+        self.values.insert(gone)
+
+    def turn_to_enu(
+        self,
+        T_enu_map: gtsam.Pose3,
+        factors: Sequence[Factor],
+        prior: MarginalPrior,
+        values: gtsam.Values,
+    ) -> None:
+        """Replace all of G(t) by the same in ENU, which is the map from here on.
+
+        Args:
+            T_enu_map: From the map so far.
+            factors: All factors, in their order.
+            prior: The newest part.
+            values: The variables that have left it.
+        """
+        self.factors = list(factors)
+        self.prior, self.values = prior, values
+        self.last_velocity = T_enu_map.rotation().rotate(self.last_velocity)
+        self.enu_offset = np.zeros(3)
+        self.georeferenced = True
+
+    def _pins_velocity(self, cluster: int) -> bool:
+        """Whether a cluster's velocity is certain enough to predict motion."""
+        covariance = self.prior.covariance(velocity_key(cluster))
+        if covariance is None:
+            return False
+        return bool(np.sqrt(np.linalg.eigvalsh(covariance)[-1]) < KNOWN_VELOCITY)

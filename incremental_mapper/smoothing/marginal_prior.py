@@ -1,8 +1,8 @@
-"""What G(t) says of its newest part, kept small: a Gaussian over the frontier, and eliminated.
+"""The marginal prior: what G(t) says of its newest part, as a Gaussian over the frontier.
 
 The frontier are the variables that new factors may touch. Everything older is marginalised, once
 and for good, into a square-root information matrix over the frontier; the newest of those older
-variables, the eliminated, still move with it by their linear conditional p(follower | frontier).
+variables still move with it by their linear conditional p(eliminated | frontier).
 All of it is relative to the newest estimates, so the cost of a window depends on nothing but the
 window.
 """
@@ -15,20 +15,28 @@ import numpy as np
 from scipy.linalg.lapack import dgeqrf, dtrtrs
 
 from incremental_mapper.graph.values import cluster_of
-from incremental_mapper.smoothing.tangent_layout import Array, layout_of, solve_scaled
+from incremental_mapper.smoothing.linear_system import Array, layout_of, solve_scaled
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MarginalPrior:
-    """Frontier and eliminated, linear around ``values``.
+    """A Gaussian over the frontier, and the conditionals of what was eliminated lately.
 
-    ``keys`` are the frontier's variables; what G(t) says of a tangent step δ (n,) of them is
-    ‖root · δ − rhs‖², with ``root`` (m, n) and ``rhs`` (m,). Where the last solve converged, the
-    newest estimates are the mean, and ``rhs`` is zero up to a constant. ``eliminated`` move by
-    ``gains`` (f, n) · δ. ``base`` holds the frontier's newest estimates, and the eliminated before
-    they moved ``pending_delta`` (f,): there are many of them, and few are asked for. ``clusters`` are the
-    cluster ids in it with their stamps (ns). ``healthy`` is False where the last window could not
-    be solved and stays at its initial values.
+    What G(t) says of a tangent step δ (n,) of the frontier is ‖root · δ − rhs‖², linear around the
+    newest estimates. Where the last solve converged, these are the mean, and ``rhs`` is zero up to
+    a constant.
+
+    Attributes:
+        keys: The frontier's variables.
+        root: Square-root information (m, n).
+        rhs: Right-hand side (m,).
+        eliminated: Variables that are no longer in the frontier and still move with it.
+        gains: How they move, (f, n): by gains · δ.
+        base: The frontier's newest estimates, and those of eliminated variables without their
+            pending delta: there are many of them, and few are asked for.
+        pending_delta: Tangent step (f,) that the eliminated variables have yet to make.
+        clusters: The clusters in it with their stamps (ns).
+        healthy: False where the last window could not be solved and stays at its initial values.
     """
 
     keys: tuple[int, ...] = ()
@@ -69,10 +77,16 @@ class MarginalPrior:
 def marginalise(
     prior: MarginalPrior, keep: Collection[int], oldest: int
 ) -> tuple[MarginalPrior, gtsam.Values]:
-    """Leave only the variables ``keep`` in the frontier; the others become eliminated.
+    """Leave only the variables ``keep`` in the frontier, and eliminate the others.
 
-    Followers of clusters older than the stamp ``oldest`` (ns), of which nothing is kept, are let
-    go: their final values come back beside the smaller prior.
+    Args:
+        prior: The prior so far.
+        keep: Variables that stay in the frontier; those that it does not have are ignored.
+        oldest: Stamp (ns) of the oldest clusters whose eliminated variables still move.
+
+    Returns:
+        The smaller prior, and the final values of variables that are let go: those of older
+        clusters of which nothing is kept.
     """
     layout = layout_of(prior.keys)
     kept = tuple(key for key in prior.keys if key in keep)
@@ -116,7 +130,7 @@ def marginalise(
 
 
 def trimmed(prior: MarginalPrior, eliminated: Collection[int]) -> MarginalPrior:
-    """The prior with no other eliminated than these."""
+    """The prior with no other eliminated variables than these."""
     kept = tuple(key for key in prior.eliminated if key in eliminated)
     rows = layout_of(prior.eliminated).columns(kept)
     return replace(

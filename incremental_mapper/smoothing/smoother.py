@@ -1,4 +1,4 @@
-"""Beliefs that grow: by factors that are new, by what was solved already, or from a whole graph."""
+"""The smoother: marginal priors that take in new factors, what was solved, or a whole graph."""
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -9,9 +9,8 @@ import numpy as np
 from incremental_mapper.graph.values import cluster_of, copy_value
 from incremental_mapper.smoothing.batch import eliminate, make_graph
 from incremental_mapper.smoothing.gauss_newton import Problem, Solved, linear_system
-from incremental_mapper.smoothing.linear_system import System
+from incremental_mapper.smoothing.linear_system import Layout, System
 from incremental_mapper.smoothing.marginal_prior import MarginalPrior, triangle
-from incremental_mapper.smoothing.tangent_layout import Layout
 
 
 def smoother_update(
@@ -38,7 +37,7 @@ def smoother_update(
 def commit_solution(
     prior: MarginalPrior, solved: Solved, names: Mapping[int, int], clusters: Mapping[int, int]
 ) -> MarginalPrior:
-    """Append what was solved on top of the same prior, with fewer eliminated or not.
+    """Append what was solved on top of the same prior, with fewer eliminated variables or not.
 
     ``names`` are the keys that new variables get in place of those that they were solved under.
     """
@@ -82,10 +81,10 @@ def marginal_prior_of(
     keep: Collection[int],
     oldest: int,
 ) -> tuple[MarginalPrior, gtsam.Values]:
-    """The prior of a whole graph at its optimum ``values``, and what lies before the lag.
+    """The marginal prior of a whole graph at its optimum ``values``, and what lies before the lag.
 
-    ``keep`` are the variables of its frontier. Costs a sparse elimination of the graph; ``smoother_update``
-    and ``marginalise`` do it step by step.
+    ``keep`` are the variables of its frontier. Costs a sparse elimination of the graph;
+    ``smoother_update`` and ``marginalise`` do it step by step.
     """
     kept = sorted(set(keep) & set(values.keys()), key=lambda key: (cluster_of(key), key))
     wanted = {cluster_of(key) for key in kept}

@@ -7,7 +7,7 @@ from driven_room import STEP, assert_close, front_end, poses, room, scan, seen_f
 
 from incremental_mapper.config import make_config
 from incremental_mapper.frontend.front_end import FrontEnd, PreparedFix
-from incremental_mapper.frontend.scan_preparation import PreparedScan
+from incremental_mapper.frontend.lidar_odometry import PreparedScan
 from incremental_mapper.measurements import FixStatus, GnssFix
 
 

@@ -10,8 +10,6 @@ from hypothesis import strategies as st
 from incremental_mapper.config import GnssSettings
 from incremental_mapper.errors import MeasurementError
 from incremental_mapper.frontend.gnss import (
-    IDENTITY_ALIGNMENT,
-    Alignment,
     Datum,
     align_track,
     checked_covariance,
@@ -84,13 +82,6 @@ def test_turn_of_a_noisy_track_is_the_least_squares_one():
     assert all(cost(yaw) <= cost(yaw + step) for step in (-1e-3, -1e-5, 1e-5, 1e-3))
     residual = enu - (local @ gtsam.Rot3.Yaw(yaw).matrix().T + shift)
     assert residual.mean(axis=0) == pytest.approx(np.zeros(3), abs=1e-9)
-
-
-def test_alignment_turns_east_to_the_left_for_a_positive_yaw():
-    alignment = Alignment(np.pi / 2, np.array([10.0, 0.0, 1.0]))
-    assert alignment.to_map(np.array([1.0, 0.0, 0.0])) == pytest.approx([10, 1, 1])
-    assert alignment.to_map(np.array([[0.0, 1.0, 2.0]])) == pytest.approx(np.array([[9, 0, 3]]))
-    assert IDENTITY_ALIGNMENT.to_map(np.array([1.0, 2.0, 3.0])).tolist() == [1, 2, 3]
 
 
 sigmas = st.floats(1e-4, 9.0)

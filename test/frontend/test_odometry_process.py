@@ -109,4 +109,4 @@ def workers():
     """Commands of this process's children that prepare scans."""
     children = Path(f'/proc/self/task/{os.getpid()}/children').read_text(encoding='ascii')
     commands = [Path(f'/proc/{number}/cmdline').read_text() for number in children.split()]
-    return [command for command in commands if 'odometry_worker' in command]
+    return [command for command in commands if 'odometry_process' in command]

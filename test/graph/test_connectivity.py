@@ -1,9 +1,7 @@
-"""Union-find against a graph search, and which clusters of a candidate hang loose."""
+"""Which clusters of a candidate reach G(t-1)."""
 
 import gtsam
 import numpy as np
-from hypothesis import given
-from hypothesis import strategies as st
 
 from incremental_mapper.candidates.model import (
     HEAD,
@@ -13,51 +11,10 @@ from incremental_mapper.candidates.model import (
     CoreKind,
     CoreMeasurement,
 )
-from incremental_mapper.config import Config
-from incremental_mapper.frontend.dead_reckoning import State
 from incremental_mapper.frontend.front_end import PreparedFix
-from incremental_mapper.frontend.gnss import IDENTITY_ALIGNMENT
-from incremental_mapper.frontend.imu_preintegration import EMPTY_SERIES, preintegration_parameters
-from incremental_mapper.frontend.scan_preparation import PreparedScan
-from incremental_mapper.graph.connectivity import UnionFind
-from incremental_mapper.graph.factor_builder import WindowFactors, WindowInputs
+from incremental_mapper.frontend.lidar_odometry import PreparedScan
+from incremental_mapper.graph.connectivity import Partitions
 from incremental_mapper.graph.frontier import Frontier
-
-edges = st.lists(st.tuples(st.integers(0, 15), st.integers(0, 15)), max_size=30)
-
-
-def reached(start, pairs):
-    """Nodes that a search from ``start`` finds."""
-    found, waiting = {start}, [start]
-    while waiting:
-        node = waiting.pop()
-        for one, other in pairs:
-            for here, there in ((one, other), (other, one)):
-                if here == node and there not in found:
-                    found.add(there)
-                    waiting.append(there)
-    return found
-
-
-@given(edges)
-def test_sets_are_those_of_a_graph_search(pairs):
-    sets = UnionFind(range(16))
-    for pair in pairs:
-        sets.union(*pair)
-    for node in range(16):
-        same = {other for other in range(16) if sets.find(other) == sets.find(node)}
-        assert same == reached(node, pairs)
-    assert sets.sets == len({frozenset(reached(node, pairs)) for node in range(16)})
-
-
-@given(edges)
-def test_nodes_come_into_being_when_they_are_named(pairs):
-    sets = UnionFind()
-    for pair in pairs:
-        sets.union(*pair)
-    named = {node for pair in pairs for node in pair}
-    assert sets.sets == len({frozenset(reached(node, pairs)) for node in named})
-
 
 # Components of a candidate. Stamps are plain numbers; G(t-1) has clusters 0 to 9.
 
@@ -82,27 +39,16 @@ def scan(core, previous):
 
 
 def components(items, groups, links=(), frontier=GROWN):
-    """Loose members of a candidate with clusters ``groups`` (positions in ``items``)."""
-    config = Config()
+    """Unconnected members of a candidate with clusters ``groups`` (positions in ``items``)."""
     cores = [item.core for item in items]
     clusters = tuple(
         Cluster(tuple(cores[i] for i in group), group[0], group[-1]) for group in groups
     )
     connections = tuple(Connection(start, end, 0, clusters[end].stamp, 0) for start, end in links)
-    inputs = WindowInputs(
-        prepared={item.core: item for item in items},
-        states={},
-        series=EMPTY_SERIES,
-        parameters=preintegration_parameters(config.preintegration, np.eye(4)),
-        frontier=frontier,
-        head_state=State(0, gtsam.Pose3(), np.zeros(3), gtsam.imuBias.ConstantBias()),
-        scan_offsets={},
-        alignment=IDENTITY_ALIGNMENT,
-        fix_inflation={},
-        config=config,
-    )
-    loose = WindowFactors(inputs, len(items)).components(Candidate(clusters, connections))
-    return [[member for cluster in part for member in cluster.members] for part in loose]
+    partitions = Partitions({item.core: item for item in items}, frontier, len(items))
+    candidate = Candidate(clusters, connections)
+    unconnected = partitions.of(candidate).unconnected(candidate)
+    return [[member for cluster in part for member in cluster.members] for part in unconnected]
 
 
 FIRST = [scan(LEFT, None), PreparedFix(FIX, np.zeros(3), np.eye(3)), scan(RIGHT, None)]

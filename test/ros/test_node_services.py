@@ -22,7 +22,7 @@ from ros_helpers import (
 
 from incremental_mapper.errors import ConfigError
 from incremental_mapper.ros import saving as saving_module
-from incremental_mapper.scoring.strategies import StrategyPlan, register
+from incremental_mapper.selection import strategies
 
 
 def vertices(folder):
@@ -152,26 +152,25 @@ def test_parameters_have_descriptions_and_only_safe_ones_change(start_node):
 
 
 class Explosive:
-    """A criterion that query_points as ``min_time_shift`` does and raises in one window."""
+    """Chooses as ``min_time_shift`` does, and raises in its tenth window."""
 
-    name = 'time_shift'
+    def __init__(self):
+        self._windows = count(1)
 
-    def __init__(self, window, fails):
-        self._explodes = window == fails
+    def warm_up(self):
+        pass
 
-    def score(self, proposal):
-        if self._explodes:
-            raise ValueError('the criterion explodes')
-        return proposal.candidate.time_shift / 1e9
+    def select(self, problem):
+        if next(self._windows) == 10:
+            raise ValueError('the strategy explodes')
+        return strategies.find_strategy('min_time_shift').select(problem)
 
 
 @pytest.fixture
-def explosive():
-    """A registered strategy whose criterion raises in its tenth window."""
-    windows = count(1)
-    name = f'explosive_{id(windows)}'
-    register(name, StrategyPlan(lambda *_: Explosive(next(windows), 10), solve=False))
-    return name
+def explosive(monkeypatch):
+    """Name of a strategy that raises in its tenth window."""
+    monkeypatch.setitem(strategies.BUILT_IN, 'explosive', Explosive())
+    return 'explosive'
 
 
 @pytest.mark.parametrize('saves', [True, False])

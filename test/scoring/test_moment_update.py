@@ -80,9 +80,9 @@ def test_moved_covariances_are_those_of_the_moved_points(count, size, seed):
             candidate[own] = common @ turn
     reach = largest_drifts(motions, queries, scan, np.inf)
     grid = make_grid(points, bounds, 1.0)
-    parts = scan_moments(grid, queries, 1.0, 3)
+    moments = scan_moments(grid, queries, 1.0, 3)
     boundary = find_boundary_pairs(grid, queries, 1.0, reach + ROUNDING)
-    found, near = moved_covariances(motions, queries, scan, parts, boundary, reach, 1.0)
+    found, near = moved_covariances(motions, queries, scan, moments, boundary, reach, 1.0)
     assert found.shape == (6, 5, 5)
     assert near.all()
     owner = np.repeat(np.arange(3), count)
@@ -96,8 +96,8 @@ def test_moved_covariances_are_those_of_the_moved_points(count, size, seed):
             # The frame is another one, so that only the eigenvalues are alike.
             alike = np.linalg.eigvalsh(full_matrices(spread[:, None])[0])
             assert alike == pytest.approx(expected, abs=1e-10)
-    tight, far = moved_covariances(motions, queries, scan, parts, boundary, 0.0 * reach, 1.0)
+    tight, far = moved_covariances(motions, queries, scan, moments, boundary, 0.0 * reach, 1.0)
     assert far.tolist() == [True] + 4 * [size == 0.0]
     assert tight[:, 0] == pytest.approx(found[:, 0])
     motions[2, 1] = np.nan
-    assert not moved_covariances(motions, queries, scan, parts, boundary, reach, 1.0)[1][2]
+    assert not moved_covariances(motions, queries, scan, moments, boundary, reach, 1.0)[1][2]

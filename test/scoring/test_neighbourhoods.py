@@ -98,13 +98,13 @@ def test_numbers_out_of_this_world_have_no_neighbours(bad):
 
 def test_neighbourhoods_are_shared_by_scans_and_large_enough():
     clouds = np.random.default_rng(0).normal(size=(4, 6, 3))
-    parts = np.zeros((4, 2, 10))
-    parts[0, 0] = moments(clouds[0])[:, 0]  # all its own
-    parts[1, 1] = moments(clouds[1])[:, 0]  # none of its own
-    parts[2] = moments(clouds[2][:3])[:, 0], moments(clouds[2][3:])[:, 0]
-    parts[3] = moments(clouds[3][:1])[:, 0], moments(clouds[3][1:4])[:, 0]  # too few
-    chosen, spread = shared_neighbourhoods(parts, np.zeros(4, dtype=np.int64), 5)
+    by_scan = np.zeros((4, 2, 10))
+    by_scan[0, 0] = moments(clouds[0])[:, 0]  # all its own
+    by_scan[1, 1] = moments(clouds[1])[:, 0]  # none of its own
+    by_scan[2] = moments(clouds[2][:3])[:, 0], moments(clouds[2][3:])[:, 0]
+    by_scan[3] = moments(clouds[3][:1])[:, 0], moments(clouds[3][1:4])[:, 0]  # too few
+    chosen, spread = shared_neighbourhoods(by_scan, np.zeros(4, dtype=np.int64), 5)
     assert chosen.tolist() == [1, 2]
     expected = np.stack([np.cov(clouds[i].T, bias=True) for i in (1, 2)])
     assert full_matrices(spread) == pytest.approx(expected, abs=1e-12)
-    assert shared_neighbourhoods(parts[:0], chosen[:0], 5)[1].shape == (6, 0)
+    assert shared_neighbourhoods(by_scan[:0], chosen[:0], 5)[1].shape == (6, 0)

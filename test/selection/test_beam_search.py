@@ -1,5 +1,7 @@
 """Search of windows that are too large to enumerate, against the enumeration of smaller ones."""
 
+from dataclasses import replace
+
 import pytest
 
 import incremental_mapper.mapping.mapper as mapper_module
@@ -7,9 +9,9 @@ from incremental_mapper.candidates.enumeration import candidates
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.results.offline_run import effective_config
-from incremental_mapper.scoring.strategies import strategy_plan
+from incremental_mapper.scoring.criteria import SOLVER_ERROR
 from incremental_mapper.selection.beam_search import beam_search
-from incremental_mapper.selection.selector import choose
+from incremental_mapper.selection.strategies import find_strategy
 
 UNLIMITED = 1e6
 
@@ -30,17 +32,21 @@ def tasks(monkeypatch, light_drive):
         config = effective_config(source, tree, 'test')
         seen = []
 
-        def watch(task, *rest):
-            # The state behind a task moves on, so what is asked of it is asked here.
-            choice = choose(task, *rest)
-            seen.append((task, choice, ask(task, config)))
-            return choice
+        class Watching:
+            def __init__(self, name):
+                self._strategy = find_strategy(name)
 
-        def ask(task, config):
-            return questions(task, config) if questions else None
+            def warm_up(self):
+                self._strategy.warm_up()
+
+            def select(self, problem):
+                # The state behind a problem moves on, so what is asked of it is asked here.
+                choice = self._strategy.select(problem)
+                seen.append((problem, choice, questions(problem) if questions else None))
+                return choice
 
         questions = collect.questions
-        monkeypatch.setattr(mapper_module, 'choose', watch)
+        monkeypatch.setattr(mapper_module, 'find_strategy', Watching)
         mapper = Mapper(config, list(source.info.counts))
         for measurement in source.measurements():
             mapper.push(measurement)
@@ -51,21 +57,25 @@ def tasks(monkeypatch, light_drive):
     return collect
 
 
+def with_selection(problem, **changes):
+    """The same window under other settings of the selection."""
+    selection = problem.config.selection.model_copy(update=changes)
+    return replace(problem, config=problem.config.model_copy(update={'selection': selection}))
+
+
 def connected(task):
     every = candidates(task.elements, task.head, task.imu)
-    reachable = [item for item in every if not task.factors.components(item)]
+    reachable = [item for item in every if not task.unconnected(item)]
     if not task.may_merge:
         return [item for item in reachable if not item.merges]
     return reachable
 
 
 def test_beam_that_never_drops_a_prefix_finds_every_connected_candidate(tasks):
-    plan = strategy_plan('min_solver_error')
-
-    def everything(task, config):
+    def everything(task):
         if len(task.elements) > 3:
             return None
-        return beam_search(task, plan, config.mom, 1000, UNLIMITED)
+        return beam_search(task, lambda *_: SOLVER_ERROR, 1000, UNLIMITED)
 
     tasks.questions = everything
     compared = 0
@@ -80,13 +90,9 @@ def test_beam_that_never_drops_a_prefix_finds_every_connected_candidate(tasks):
 
 @pytest.mark.parametrize('strategy', ['mom', 'min_solver_error'])
 def test_search_finds_the_winner_of_the_enumeration(tasks, strategy):
-    plan = strategy_plan(strategy)
-
-    def search(task, config):
-        selection = config.selection.model_copy(
-            update={'max_candidates': 1, 'time_budget': UNLIMITED}
-        )
-        return choose(task, plan, selection, config.mom)
+    def search(task):
+        changed = with_selection(task, max_candidates=1, time_budget=UNLIMITED)
+        return find_strategy(strategy).select(changed)
 
     tasks.questions = search
     same, windows = 0, 0
@@ -103,11 +109,8 @@ def test_search_finds_the_winner_of_the_enumeration(tasks, strategy):
 
 
 def test_least_time_shift_is_found_without_enumerating(tasks):
-    plan = strategy_plan('min_time_shift')
-
-    def search(task, config):
-        small = config.selection.model_copy(update={'max_candidates': 20})
-        return choose(task, plan, small, config.mom)
+    def search(task):
+        return find_strategy('min_time_shift').select(with_selection(task, max_candidates=20))
 
     tasks.questions = search
     searched_windows = 0

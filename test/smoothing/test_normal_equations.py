@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from incremental_mapper.smoothing.normal_equations import best_step
+from incremental_mapper.smoothing.linear_system import best_step
 
 LOOSE = 1e-3
 

@@ -1,0 +1,140 @@
+"""Criteria: what makes one candidate better than another; the lowest score wins."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from incremental_mapper.candidates.model import Candidate
+from incremental_mapper.config import MomSettings
+from incremental_mapper.measurements import NANOSECONDS
+from incremental_mapper.scoring.mom import (
+    LocalMap,
+    QueryPoints,
+    choose_query_points,
+    direct_score,
+    fast_scores,
+)
+
+
+def _no_scans() -> NDArray[np.float64]:
+    return np.zeros((0, 4, 4))
+
+
+@dataclass(frozen=True, eq=False)
+class Proposal:
+    """A connected candidate as a criterion sees it.
+
+    Attributes:
+        candidate: Its clusters and connections.
+        solver_error: Σ‖h(x)−z‖²_Σ over its own factors, None where it was not solved.
+        locate: Computes ``poses``; called once, and only where a criterion asks for them.
+    """
+
+    candidate: Candidate
+    solver_error: float | None = None
+    locate: Callable[[], NDArray[np.float64]] = _no_scans
+
+    @cached_property
+    def poses(self) -> NDArray[np.float64]:
+        """T_map_base (S, 4, 4) of the window's new scans, then of recent ones that move along."""
+        return self.locate()
+
+
+class Criterion(Protocol):
+    """Judges the candidates of one window."""
+
+    @property
+    def name(self) -> str:
+        """What the score is, for the output."""
+
+    def scores(self, proposals: Sequence[Proposal]) -> list[float]:
+        """Scores of the candidates, in their order; not comparable between windows."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ByFunction:
+    """A criterion that is a function of one candidate.
+
+    Attributes:
+        name: What the score is, for the output.
+        score: Score of a candidate; infinity where it must not win.
+    """
+
+    name: str
+    score: Callable[[Proposal], float]
+
+    def scores(self, proposals: Sequence[Proposal]) -> list[float]:
+        """See Criterion."""
+        return [self.score(proposal) for proposal in proposals]
+
+
+def _time_shift(proposal: Proposal) -> float:
+    return proposal.candidate.time_shift / NANOSECONDS
+
+
+def _solver_error(proposal: Proposal) -> float:
+    return float('inf') if proposal.solver_error is None else proposal.solver_error
+
+
+TIME_SHIFT = ByFunction('time_shift', _time_shift)
+"""Total time shift in seconds (paper, Minimum Time Shift)."""
+SOLVER_ERROR = ByFunction('solver_error', _solver_error)
+"""Squared Mahalanobis norm of the candidate's factors (paper, Minimum Solver Error)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mom:
+    """MOM of the local map (paper, Evaluation Metric).
+
+    Attributes:
+        local_map: What the window's candidates are judged on.
+        settings: Radius, thresholds and sizes.
+        query_points: Where they are judged.
+        direct: Search the neighbourhoods of every candidate again.
+        exact: Do so for candidates that the local map did not foresee; else these keep the
+            neighbourhoods of those that it did.
+    """
+
+    local_map: LocalMap
+    settings: MomSettings
+    query_points: QueryPoints
+    direct: bool = False
+    exact: bool = True
+
+    @property
+    def name(self) -> str:
+        """``mom_3`` (or ``_2``, ``_1`` families) or ``plane_variance``."""
+        return self.query_points.score_name
+
+    def scores(self, proposals: Sequence[Proposal]) -> list[float]:
+        """See Criterion."""
+        poses = [proposal.poses for proposal in proposals]
+        points, local_map, settings = self.query_points, self.local_map, self.settings
+        if self.direct:
+            return [direct_score(points, pose, local_map, settings) for pose in poses]
+        found = fast_scores(points, np.array(poses), local_map, settings, self.exact)
+        return [float(score) for score in found]
+
+
+def mom_criterion(
+    local_map: LocalMap | None, settings: MomSettings, direct: bool = False, exact: bool = True
+) -> Criterion:
+    """MOM, or the time shift where there is nothing to judge a map by.
+
+    Args:
+        local_map: What candidates are judged on; None where there is no scan, new or recent.
+        settings: Those of MOM.
+        direct: See ``Mom``.
+        exact: See ``Mom``.
+
+    Returns:
+        The criterion; it is the time shift where the local map has no plane at all.
+    """
+    points = None if local_map is None else choose_query_points(local_map, settings)
+    if local_map is None or points is None:
+        return TIME_SHIFT
+    return Mom(local_map, settings, points, direct, exact)

@@ -1,0 +1,218 @@
+"""The strategy that solves candidates and takes the lowest score: ``mom`` and ``min_solver_error``.
+
+Enumerates or searches, filters by connectivity, solves the rest, scores them, and picks one
+(paper, Algorithm 1, steps 3 to 5).
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from itertools import islice
+
+import numpy as np
+
+from incremental_mapper.candidates.enumeration import base_candidate, candidates, upper_bound
+from incremental_mapper.candidates.local_moves import neighbours
+from incremental_mapper.candidates.model import Candidate
+from incremental_mapper.candidates.time_shift_search import by_time_shift
+from incremental_mapper.scoring import mom
+from incremental_mapper.scoring.criteria import ByFunction, Criterion, Mom, Proposal, mom_criterion
+from incremental_mapper.scoring.verification import verify
+from incremental_mapper.selection.beam_search import MakeCriterion, beam_search
+from incremental_mapper.selection.candidate_solver import CandidateSolver
+from incremental_mapper.selection.choice import Choice, Tried
+from incremental_mapper.selection.selector import best_index, connected_candidates
+from incremental_mapper.selection.stopwatch import Stopwatch
+from incremental_mapper.selection.window_problem import WindowProblem
+from incremental_mapper.smoothing.gauss_newton import Solved
+
+AT_ONCE = 6
+"""Candidates that are solved between two looks at the clock."""
+PATIENCE = 60
+"""Candidates whose single decisions are changed in vain before a search ends."""
+
+
+def _nothing() -> None:
+    pass
+
+
+class LowestScore:
+    """Solves the connected candidates and takes the one with the lowest score."""
+
+    def __init__(
+        self, make_criterion: MakeCriterion, warm_up: Callable[[], None] = _nothing
+    ) -> None:
+        """A strategy out of a criterion.
+
+        Args:
+            make_criterion: Makes the criterion of a window from its problem and its proposals.
+                With its third argument off, exact values are not needed yet.
+            warm_up: Compiles or loads what the criterion needs.
+        """
+        self._make_criterion = make_criterion
+        self._warm_up = warm_up
+
+    @classmethod
+    def of(cls, name: str, score: Callable[[Proposal], float]) -> 'LowestScore':
+        """A strategy out of a function of one candidate.
+
+        Args:
+            name: What the score is, for the output.
+            score: Score of a solved candidate; the lowest one wins.
+        """
+        criterion = ByFunction(name, score)
+        return cls(lambda *_: criterion)
+
+    def select(self, problem: WindowProblem) -> Choice:
+        """See Strategy."""
+        return _Selection(problem, self._make_criterion).run()
+
+    def warm_up(self) -> None:
+        """See Strategy."""
+        self._warm_up()
+
+
+def _make_mom(
+    problem: WindowProblem, proposals: Sequence[Proposal], exact: bool = True
+) -> Criterion:
+    poses = [proposal.poses for proposal in proposals if len(proposal.poses)]
+    local_map = problem.local_maps.local_map(poses) if poses else None
+    config = problem.config
+    return mom_criterion(local_map, config.mom, config.selection.direct, exact)
+
+
+lowest_mom = LowestScore(_make_mom, mom.warm_up)
+"""The method of the paper."""
+
+
+class _Selection:
+    """One window's way to its choice."""
+
+    def __init__(self, problem: WindowProblem, make_criterion: MakeCriterion) -> None:
+        self._problem = problem
+        self._settings = problem.config.selection
+        self._make_criterion = make_criterion
+        self._clock = Stopwatch()
+        self._solver = CandidateSolver(problem)
+        self._proposals: list[Proposal] = []
+        self._solved: list[Solved] = []
+        self._scores: list[float] = []
+
+    def run(self) -> Choice:
+        clock, problem = self._clock, self._problem
+        looked, cut = self._candidates()
+        pool = connected_candidates(problem, looked)
+        connected, found = pool.connected, pool.found
+        cut |= pool.limited
+        clock.lap('candidates')
+        self._propose(pool.eligible)
+        criterion = self._make_criterion(problem, self._proposals, True)
+        self._scores = criterion.scores(self._proposals)
+        clock.lap('score')
+        if cut and problem.limit is None:
+            changed = self._change_decisions(criterion)
+            looked += changed
+            connected |= set(map(id, changed))
+            found += len(changed)
+        verification = None
+        if self._settings.verify and isinstance(criterion, Mom):
+            verification = verify(criterion, self._proposals, clock.seconds.get('score', 0.0))
+            clock.lap('verify')
+        judged = {
+            id(proposal.candidate): (score, proposal.solver_error)
+            for proposal, score in zip(self._proposals, self._scores, strict=True)
+        }
+        best = self._best(self._scores)
+        winner, solution = None, None
+        if best is not None:
+            winner = self._proposals[best].candidate
+            solution = self._solver.refine(winner, self._solved[best])
+        clock.lap('solve')
+        return Choice(
+            winner=winner,
+            score=None if best is None else self._scores[best],
+            score_name=criterion.name,
+            enumerated=len(looked),
+            connected=found,
+            solved=len(self._proposals),
+            cut=cut,
+            seconds=clock.seconds,
+            tried=tuple(
+                Tried(item, id(item) in connected, *judged.get(id(item), (None, None)))
+                for item in looked
+            ),
+            solution=solution,
+            verification=verification,
+        )
+
+    def _candidates(self) -> tuple[list[Candidate], bool]:
+        """The candidates to choose from, and whether there may be better ones."""
+        problem, settings = self._problem, self._settings
+        window = problem.elements, problem.head, problem.imu
+        bound = upper_bound(len(problem.elements), problem.head is not None)
+        if bound <= settings.max_candidates:
+            return list(candidates(*window)), False
+        width = min(settings.beam_width, problem.limit or settings.beam_width)
+        # The conventional graph takes part as well, first as in an enumeration: what is found is
+        # never worse than it, and the map is judged at the same points.
+        base = base_candidate(*window)
+        searched = beam_search(problem, self._make_criterion, width, settings.time_budget)
+        found = [base, *(item for item in searched if item != base)]
+        if all(problem.unconnected(item) for item in found):
+            found += islice(by_time_shift(*window), settings.max_candidates)
+        return found, True
+
+    def _propose(self, some: Sequence[Candidate]) -> list[Proposal]:
+        """Solve connected candidates; what cannot be solved is left out."""
+        fresh: list[Proposal] = []
+        for candidate in some:
+            solved = self._solver.solve(candidate)
+            if solved is not None:
+                locate = partial(self._problem.local_maps.poses, candidate, solved.pose)
+                fresh.append(Proposal(candidate, solved.error, locate))
+                self._solved.append(solved)
+            self._clock.lap('solve')
+        self._proposals += fresh
+        return fresh
+
+    def _best(self, scores: Sequence[float]) -> int | None:
+        return best_index(scores, [proposal.candidate for proposal in self._proposals])
+
+    def _change_decisions(self, criterion: Criterion) -> list[Candidate]:
+        """Change single decisions of the best candidates until PATIENCE of them were in vain.
+
+        Returns what was tried. Ends half a time budget after the beam had to, at the latest.
+        """
+        problem = self._problem
+        until = self._clock.began + 1.5 * self._settings.time_budget
+        seen = {proposal.candidate for proposal in self._proposals}
+        added: list[Candidate] = []
+        expanded: set[int] = set()
+        idle = 0
+        while idle < PATIENCE and time.perf_counter() < until:
+            best = self._best(
+                [np.inf if i in expanded else score for i, score in enumerate(self._scores)]
+            )
+            if best is None:
+                break
+            expanded.add(best)
+            before = min(self._scores)
+            centre = self._proposals[best].candidate
+            around = dict.fromkeys(neighbours(centre, problem.elements, problem.head, problem.imu))
+            fresh = [
+                item
+                for item in around
+                if item not in seen
+                and (problem.may_merge or not item.merges)
+                and not problem.unconnected(item)
+            ]
+            seen.update(around)
+            for start in range(0, len(fresh), AT_ONCE):
+                if time.perf_counter() >= until:
+                    break
+                some = fresh[start : start + AT_ONCE]
+                self._scores += criterion.scores(self._propose(some))
+                self._clock.lap('score')
+                added += some
+            idle = 0 if min(self._scores) < before else idle + 1
+        return added
