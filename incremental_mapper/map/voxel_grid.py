@@ -13,6 +13,80 @@ from incremental_mapper.compiled import kernel
 
 FURTHEST = 2.0e9
 """Voxels from the corner beyond which 32 bits do not tell them apart."""
+ROOM = 1024
+"""Voxels for which a grid has room when nothing is said."""
+
+
+class VoxelGrid:
+    """Voxels with the mean of the points in each; takes points at any time.
+
+    Adding costs as much as what is added: the table doubles when it is full. A voxel takes 32
+    bytes, and 8 to 16 in the table.
+    """
+
+    def __init__(
+        self,
+        voxel_size: float,
+        corner: NDArray[np.float64] | None = None,
+        max_range: float = np.inf,
+        fullest: float = np.inf,
+        room: int = ROOM,
+    ) -> None:
+        """Make an empty grid.
+
+        Args:
+            voxel_size: side of a voxel, metres.
+            corner: where a corner of a voxel lies, (3,), metres in the map; its origin if None.
+            max_range: points further than this many metres from the origin of their own frame are
+                left out.
+            fullest: points after which a voxel takes no more. Sums are single precision, so a
+                grid that points are added to for hours needs a limit.
+            room: voxels that are expected; more make the grid grow.
+        """
+        self._size = voxel_size
+        self._corner = np.zeros(3) if corner is None else corner
+        self._limits = (max_range * max_range, voxel_size, float(fullest))
+        self._used = 0
+        self._make(max(room, 1))
+
+    def add(self, points: NDArray[np.floating], transform: NDArray[np.float64]) -> None:
+        """Add points (N, 3), metres, that ``transform`` (4, 4), T_map_points, places.
+
+        Points that are not finite are left out.
+        """
+        columns = np.require(points, np.float32, ('C', 'W'))  # one kind to compile for
+        wanted = self._used + len(columns)
+        if wanted > len(self._cells):
+            before = self._cells[: self._used]
+            self._make(max(wanted, 2 * len(self._cells)))
+            self._cells[: self._used] = before
+            _enter(before, self._table)
+        sums = self._cells.view(np.float32)
+        rows = transform[:3].copy()
+        self._used = _add(
+            columns, rows, self._corner, self._limits, self._table, self._cells, sums, self._used
+        )
+
+    def points(self, without: 'VoxelGrid | None' = None) -> NDArray[np.float32]:
+        """Mean points (M, 3), metres in the map, in the order of the voxels' first points.
+
+        Voxels that ``without`` has too are left out; it has the same corner and size.
+        """
+        cells = self._cells[: self._used]
+        if without is not None:
+            cells = cells[_absent(cells, without._table, without._cells)]
+        return _means(cells, cells.view(np.float32), self._corner, self._size)
+
+    @property
+    def nbytes(self) -> int:
+        """Memory that the voxels take; what is kept free for more is not counted."""
+        return self._table.nbytes + self._cells[: self._used].nbytes
+
+    def _make(self, room: int) -> None:
+        # At least half of the slots stay free, so that few are asked for one point.
+        self._table = np.full(1 << (2 * room - 1).bit_length(), -1, dtype=np.int32)
+        # A voxel's numbers lie side by side: what takes time is fetching them from memory.
+        self._cells = np.empty((room, 8), dtype=np.int32)
 
 
 def mean_points(
@@ -22,22 +96,30 @@ def mean_points(
     voxel_size: float,
     max_range: float = np.inf,
 ) -> NDArray[np.float32]:
-    """One mean point per voxel, (M, 3), of points (N, 3) that their transforms (4, 4) place.
+    """One mean point per voxel of points that are all at hand.
 
-    Voxels are those of a grid through ``corner`` (3,), metres, and come in the order of their
-    first points. There are ``most`` points in all, or fewer. Points that are not finite, or are
-    more than ``max_range`` metres from where their scan has its origin, are left out.
+    Args:
+        placed: points (N, 3) and the transform (4, 4) that places them, see ``VoxelGrid.add``.
+        most: points in all, or a few more.
+        corner: where a corner of a voxel lies, (3,), metres.
+        voxel_size: side of a voxel, metres.
+        max_range: see ``VoxelGrid``.
+
+    Returns:
+        Points (M, 3), metres, in the order of the voxels' first points.
     """
-    # At least half of the slots stay free, so that few are asked for one point.
-    table = np.full(1 << (2 * max(most, 1) - 1).bit_length(), -1, dtype=np.int32)
-    # A voxel's numbers lie side by side: what takes time is fetching them from memory.
-    cells = np.empty((most, 8), dtype=np.int32)
-    sums = cells.view(np.float32)
-    limits, used = (max_range * max_range, voxel_size), 0
+    grid = VoxelGrid(voxel_size, corner, max_range, room=most)
     for points, transform in placed:
-        rows, columns = transform[:3].copy(), np.ascontiguousarray(points, dtype=np.float32)
-        used = _add(columns, rows, corner, limits, table, cells, sums, used)
-    return _means(cells[:used], sums[:used], corner, voxel_size)
+        grid.add(points, transform)
+    return grid.points()
+
+
+def warm_up() -> None:
+    """Compile or load what a growing grid needs."""
+    grid = VoxelGrid(1.0, room=1)
+    for _ in range(2):
+        grid.add(np.ones((2, 3), dtype=np.float32), np.eye(4))
+    grid.points(without=grid)
 
 
 @kernel
@@ -56,11 +138,54 @@ def _means(
 
 
 @kernel
+def _mixed(p: np.int32, q: np.int32, r: np.int32) -> np.uint64:
+    """Where a voxel is looked for first, before the table's size is known.
+
+    Neighbours end up far from each other: odd factors, and the upper bits count.
+    """
+    mixed = np.uint64(p) * np.uint64(0x9E3779B97F4A7C15)
+    mixed += np.uint64(q) * np.uint64(0xC2B2AE3D27D4EB4F)
+    mixed += np.uint64(r) * np.uint64(0x165667B19E3779F9)
+    mixed = (mixed ^ (mixed >> np.uint64(32))) * np.uint64(0x9E3779B97F4A7C15)
+    return mixed >> np.uint64(32)
+
+
+@kernel
+def _enter(cells: NDArray[np.int32], table: NDArray[np.int32]) -> None:
+    """Note in an empty table where each of ``cells`` (M, 8) stands; no two are the same."""
+    mask = np.uint64(len(table) - 1)
+    for place in range(len(cells)):
+        slot = _mixed(cells[place, 0], cells[place, 1], cells[place, 2]) & mask
+        while table[slot] >= 0:
+            slot = (slot + np.uint64(1)) & mask
+        table[slot] = place
+
+
+@kernel
+def _absent(
+    cells: NDArray[np.int32], table: NDArray[np.int32], others: NDArray[np.int32]
+) -> NDArray[np.bool_]:
+    """Which of ``cells`` (M, 8) are not among ``others`` (K, 8), of which ``table`` is, (M,)."""
+    mask = np.uint64(len(table) - 1)
+    absent = np.ones(len(cells), dtype=np.bool_)
+    for i in range(len(cells)):
+        p, q, r = cells[i, 0], cells[i, 1], cells[i, 2]
+        slot = _mixed(p, q, r) & mask
+        while table[slot] >= 0:
+            place = table[slot]
+            if others[place, 0] == p and others[place, 1] == q and others[place, 2] == r:
+                absent[i] = False
+                break
+            slot = (slot + np.uint64(1)) & mask
+    return absent
+
+
+@kernel
 def _add(
     points: NDArray[np.float32],
     transform: NDArray[np.float64],
     corner: NDArray[np.float64],
-    limits: tuple[float, float],
+    limits: tuple[float, float, float],
     table: NDArray[np.int32],
     cells: NDArray[np.int32],
     sums: NDArray[np.float32],
@@ -68,13 +193,14 @@ def _add(
 ) -> int:
     """Add ``points`` (N, 3) to the sums of their voxels.
 
-    ``limits`` are the square of the range, and the size of a voxel. ``cells`` (M, 8) begin with
-    the place of a voxel in the grid; ``sums`` (M, 8), the same memory, end with the sum of its
-    points, from its own corner, and their number. ``table`` says where a voxel stands, -1 for
-    nowhere; ``used`` of them are taken, and how many there are afterwards is returned.
+    ``limits`` are the square of the range, the size of a voxel, and the points after which a
+    voxel takes no more. ``cells`` (M, 8) begin with the place of a voxel in the grid; ``sums``
+    (M, 8), the same memory, end with the sum of its points, from its own corner, and their
+    number. ``table`` says where a voxel stands, -1 for nowhere; ``used`` of them are taken, and
+    how many there are afterwards is returned.
     """
     mask = np.uint64(len(table) - 1)
-    t, (furthest, size) = transform, limits
+    t, (furthest, size, fullest) = transform, limits
     scale = 1.0 / size
     for i in range(len(points)):
         u, v, w = float(points[i, 0]), float(points[i, 1]), float(points[i, 2])
@@ -86,12 +212,7 @@ def _add(
         if not (within and abs(a) + abs(b) + abs(c) < FURTHEST):  # NaN is not
             continue
         p, q, r = np.int32(a), np.int32(b), np.int32(c)
-        # Neighbours end up far from each other: odd factors, and the upper bits count.
-        mixed = np.uint64(p) * np.uint64(0x9E3779B97F4A7C15)
-        mixed += np.uint64(q) * np.uint64(0xC2B2AE3D27D4EB4F)
-        mixed += np.uint64(r) * np.uint64(0x165667B19E3779F9)
-        mixed = (mixed ^ (mixed >> np.uint64(32))) * np.uint64(0x9E3779B97F4A7C15)
-        slot = (mixed >> np.uint64(32)) & mask
+        slot = _mixed(p, q, r) & mask
         while True:
             place = table[slot]
             if place < 0:
@@ -105,6 +226,8 @@ def _add(
             if cells[place, 0] == p and cells[place, 1] == q and cells[place, 2] == r:
                 break
             slot = (slot + np.uint64(1)) & mask
+        if sums[place, 7] >= fullest:
+            continue
         sums[place, 4] += x - a * size
         sums[place, 5] += y - b * size
         sums[place, 6] += z - c * size

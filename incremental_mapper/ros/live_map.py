@@ -10,16 +10,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from incremental_mapper.compiled import waiting
 from incremental_mapper.config import Config
 from incremental_mapper.geometry import transform_points
 from incremental_mapper.graph.factors import Factor, FactorKind, pose_numbers
-from incremental_mapper.graph.values import cluster_of
+from incremental_mapper.map.voxel_grid import VoxelGrid, warm_up
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.smoothing.graph_state import GraphState, PlacedScan
+from incremental_mapper.variables import cluster_of
 
-_BITS = 21
-"""Bits of a voxel's key for each axis."""
+_FULLEST = 65_536.0
+"""Points after which a voxel's mean is settled; its sums stay exact to a fraction of a mm."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,58 +47,12 @@ class PathView:
     poses: list[list[float]]
 
 
-class VoxelCloud:
-    """Points of which each voxel keeps the first; adding costs about as much as what is added.
-
-    The keys lie in sorted blocks of growing size, so none of them is sorted often.
-    """
-
-    def __init__(self, voxel_size: float) -> None:
-        self._size = voxel_size
-        self._blocks: list[NDArray[np.int64]] = []
-        self._points: list[NDArray[np.float32]] = []
-
-    def fresh(self, points: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-        """Sorted keys and points (N, 3), one for each voxel that is not yet taken."""
-        cells = np.floor(points / self._size).astype(np.int64) + (1 << (_BITS - 1))
-        inside = ((cells >= 0) & (cells < (1 << _BITS))).all(axis=1)
-        points, cells = points[inside], cells[inside]
-        keys = (cells[:, 0] << 2 * _BITS) | (cells[:, 1] << _BITS) | cells[:, 2]
-        keys, first = np.unique(keys, return_index=True)
-        new = np.ones(len(keys), dtype=np.bool_)
-        for block in self._blocks:
-            place = np.minimum(np.searchsorted(block, keys), len(block) - 1)
-            new &= block[place] != keys
-        return keys[new], points[first[new]].astype(np.float32)
-
-    def add(self, points: NDArray[np.float64]) -> None:
-        """Add points (N, 3) in metres."""
-        keys, fresh = self.fresh(points)
-        if len(keys) == 0:
-            return
-        self._points.append(fresh)
-        self._blocks.append(keys)
-        while len(self._blocks) > 1 and len(self._blocks[-2]) < 2 * len(self._blocks[-1]):
-            last, before = self._blocks.pop(), self._blocks.pop()
-            self._blocks.append(np.sort(np.concatenate([before, last])))
-
-    def points(self) -> NDArray[np.float32]:
-        """All points (N, 3), metres."""
-        if len(self._points) > 1:
-            self._points = [np.concatenate(self._points)]
-        return self._points[0] if self._points else np.zeros((0, 3), dtype=np.float32)
-
-    @property
-    def nbytes(self) -> int:
-        """Memory that keys and points take."""
-        keys, points = self._blocks, self._points
-        return sum(block.nbytes for block in keys) + sum(piece.nbytes for piece in points)
-
-
 class LiveMap:
     """Follows a mapper; ``follow`` is to be called after every window."""
 
     def __init__(self, mapper: Mapper) -> None:
+        with waiting():
+            warm_up()  # no window need wait for the compiler
         self._mapper = mapper
         self._path: list[tuple[int, list[float]]] = []
         self._stride = 1
@@ -111,7 +67,7 @@ class LiveMap:
             scan = state.scans[self._scans]
             if state.in_lag(scan.cluster):
                 break
-            self._cloud.add(self._placed(scan))
+            self._add(self._cloud, scan)
             self._scans += 1
         while self._clusters < len(state.clusters):
             placed = state.clusters[self._clusters]
@@ -130,10 +86,11 @@ class LiveMap:
         return self._cloud.nbytes
 
     def points(self) -> NDArray[np.float32]:
-        """The map (N, 3) in metres, one point a voxel."""
-        settled = self._cloud.points()
-        moving = self.placed(self._mapper.state.scans[self._scans :])
-        return np.concatenate([settled, self._cloud.fresh(moving)[1]])
+        """The map (N, 3) in metres, a mean point a voxel; what is settled comes before the lag."""
+        moving = self._empty_grid()
+        for scan in self._mapper.state.scans[self._scans :]:
+            self._add(moving, scan)
+        return np.concatenate([self._cloud.points(), moving.points(without=self._cloud)])
 
     def placed(self, scans: Iterable[PlacedScan]) -> NDArray[np.float64]:
         """Points (N, 3) of scans in the map, metres."""
@@ -186,17 +143,29 @@ class LiveMap:
 
     def _restart(self) -> None:
         self._georeferenced = self._mapper.state.georeferenced
-        self._cloud = VoxelCloud(self._config.map.voxel_size)
+        self._cloud = self._empty_grid()
         self._scans = 0
         self._clusters = 0
         self._path = []
         self._stride = 1
 
+    def _empty_grid(self) -> VoxelGrid:
+        settings = self._config.map
+        return VoxelGrid(settings.voxel_size, max_range=settings.max_range, fullest=_FULLEST)
+
+    def _add(self, grid: VoxelGrid, scan: PlacedScan) -> None:
+        grid.add(scan.points, self._pose(scan))
+
     def _placed(self, scan: PlacedScan) -> NDArray[np.float64]:
         points = scan.points
         near = np.einsum('ij,ij->i', points, points) <= self._config.map.max_range**2
+        return transform_points(self._pose(scan), points[near].astype(np.float64))
+
+    def _pose(self, scan: PlacedScan) -> NDArray[np.float64]:
+        """T_map_base (4, 4) of a scan as it is estimated now."""
         pose = self._mapper.state.pose(scan.cluster).compose(scan.T_cluster_scan)
-        return transform_points(pose.matrix(), points[near].astype(np.float64))
+        matrix: NDArray[np.float64] = pose.matrix()
+        return matrix
 
 
 def _recent_factors(state: GraphState, first: int) -> Iterable[tuple[Factor, list[int]]]:

@@ -1,0 +1,122 @@
+"""Voxels with mean points: against NumPy, however they are filled, and beside each other."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from incremental_mapper.geometry import pose_matrix, transform_points
+from incremental_mapper.map.voxel_grid import VoxelGrid, mean_points
+from incremental_mapper.voxels import thin
+
+SIZE = 0.5
+TURNED = pose_matrix([20.0, -30.0, 1.0, 0.0, 0.0, np.sin(0.4), np.cos(0.4)])
+
+
+def scattered(count, seed, spread=20.0):
+    """Points that keep clear of the borders of their voxels, several in most of them."""
+    rng = np.random.default_rng(seed)
+    cells = rng.integers(-round(spread), round(spread), size=(count, 3)) // 4
+    return ((cells + rng.uniform(0.05, 0.95, size=(count, 3))) * SIZE).astype(np.float32)
+
+
+def cells(points):
+    return np.floor(np.asarray(points, dtype=np.float64) / SIZE).astype(int)
+
+
+def by_cell(points):
+    return {tuple(cell): point for cell, point in zip(cells(points), points, strict=True)}
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.integers(0, 3000), st.integers(0, 10_000), st.integers(1, 12), st.sampled_from([1, 50]))
+def test_grid_that_grows_is_the_one_that_had_room(count, seed, pieces, room):
+    points = scattered(count, seed)
+    grid = VoxelGrid(SIZE, room=room)
+    for piece in np.array_split(points, pieces):
+        grid.add(piece, np.eye(4))
+        grid.points()  # does not disturb it
+    at_once = mean_points([(points, np.eye(4))], count, np.zeros(3), SIZE)
+    assert grid.points().tobytes() == at_once.tobytes()
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.integers(1, 3000), st.integers(0, 10_000))
+def test_points_are_the_means_of_their_voxels_in_the_order_of_the_first(count, seed):
+    points = scattered(count, seed)
+    grid = VoxelGrid(SIZE)
+    for piece in np.array_split(points, 5):
+        grid.add(piece, np.eye(4))
+    made, wanted = by_cell(grid.points()), by_cell(thin(points.astype(np.float64), SIZE))
+    assert list(made) == list(dict.fromkeys(map(tuple, cells(points))))
+    assert made.keys() == wanted.keys()
+    for cell, point in made.items():
+        assert point == pytest.approx(wanted[cell], abs=1e-5)
+
+
+def test_points_are_placed_before_they_are_sorted_into_voxels():
+    points = scattered(2000, 1)
+    grid = VoxelGrid(0.01, corner=np.array([20.0, -30.0, 0.0]))
+    grid.add(points, TURNED)
+    placed = transform_points(TURNED, points.astype(np.float64))
+    assert grid.points() == pytest.approx(placed, abs=1e-5)
+
+
+def test_range_is_measured_in_the_frame_of_the_points():
+    points = np.array([[3.0, 4.0, 0.0], [30.0, 40.0, 0.0], [np.nan, 1.0, 1.0]], dtype=np.float32)
+    grid = VoxelGrid(SIZE, max_range=49.9)
+    far = pose_matrix([500.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+    grid.add(points, far)
+    assert grid.points() == pytest.approx(np.array([[503.0, 4.0, 0.0]]))
+
+
+def test_points_that_can_only_be_read_are_taken():
+    points = scattered(100, 2)
+    kept = np.frombuffer(points.tobytes(), dtype=np.float32).reshape(-1, 3)
+    assert not kept.flags.writeable
+    grids = [VoxelGrid(SIZE), VoxelGrid(SIZE)]
+    for grid, given_points in zip(grids, (points, kept), strict=True):
+        grid.add(given_points, np.eye(4))
+    assert np.array_equal(grids[0].points(), grids[1].points())
+
+
+@pytest.mark.parametrize('room', [1, 5000])
+def test_voxels_of_another_grid_are_left_out(room):
+    first, second = scattered(1500, 3), scattered(1500, 4, spread=30.0)
+    grid, other = VoxelGrid(SIZE, room=room), VoxelGrid(SIZE)
+    grid.add(second, TURNED)
+    other.add(first, TURNED)
+    found, taken = by_cell(grid.points(without=other)), by_cell(other.points())
+    everything = by_cell(grid.points())
+    assert 0 < len(found) < len(everything)
+    assert found.keys() == everything.keys() - taken.keys()
+    assert all(np.array_equal(found[cell], everything[cell]) for cell in found)
+    assert len(grid.points(without=grid)) == 0
+    assert np.array_equal(grid.points(without=VoxelGrid(SIZE)), grid.points())
+
+
+def test_full_voxel_takes_no_more_and_the_others_do():
+    grid = VoxelGrid(1.0, fullest=4.0)
+    early, late = np.full((4, 3), 0.2), np.full((3, 3), 0.8)
+    beside = np.array([[1.4, 0.5, 0.5], [1.6, 0.5, 0.5]])
+    grid.add(np.concatenate([early, late, beside]), np.eye(4))
+    wanted = np.array([[0.2, 0.2, 0.2], [1.5, 0.5, 0.5]])
+    assert grid.points() == pytest.approx(wanted, abs=1e-6)
+
+
+def test_empty_grid_has_no_points():
+    grid = VoxelGrid(SIZE)
+    assert grid.points().shape == (0, 3)
+    grid.add(np.zeros((0, 3), dtype=np.float32), np.eye(4))
+    assert grid.points(without=grid).shape == (0, 3)
+
+
+def test_memory_is_that_of_the_voxels():
+    grid = VoxelGrid(SIZE, room=1)
+    empty = grid.nbytes
+    points = np.arange(30_000, dtype=np.float32).reshape(-1, 3)
+    for piece in np.array_split(points, 20):
+        grid.add(piece, np.eye(4))
+        grid.add(piece, np.eye(4))
+    assert empty < 100
+    assert 36 * len(points) <= grid.nbytes <= 64 * len(points)
