@@ -12,6 +12,8 @@ import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
+from importlib.metadata import entry_points
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +21,7 @@ import incremental_mapper
 from incremental_mapper.datasets.truth import TRUTH_FILES
 from incremental_mapper.results.run_folder import FILES
 from incremental_mapper.results.run_statistics import versions
+from incremental_mapper.selection.strategies import BUILT_IN, GROUP
 
 MARK = 'finished.json'
 TRUTH_FILE = 'truth.tum'
@@ -54,13 +57,26 @@ def code_fingerprint(root: Path, files: Sequence[Path]) -> str:
     return digest(list(zip(names, contents, strict=True)))[:16]
 
 
-@cache
-def program() -> dict[str, str]:
-    """What computes the numbers: versions, and the package's own code.
+def program(strategy: str) -> dict[str, str]:
+    """What computes the numbers of a strategy: versions, the package's code, and its own.
 
-    The code counts by its contents, so that a checkout whose version stays the same does not pass
-    off old numbers as new ones.
+    Code counts by its contents, so that a checkout whose version stays the same does not pass off
+    old numbers as new ones.
+
+    Args:
+        strategy: A name; that of an entry point adds the code of the package that brings it.
     """
+    found = dict(own_program())
+    if strategy not in BUILT_IN:
+        for entry in entry_points(group=GROUP, name=strategy):
+            version = '' if entry.dist is None else entry.dist.version
+            found[f'strategy {strategy}'] = f'{version} {_package_fingerprint(entry.module)}'
+    return found
+
+
+@cache
+def own_program() -> Mapping[str, str]:
+    """Versions of this package and of the libraries below it, and a fingerprint of its code."""
     root = Path(incremental_mapper.__file__).parent
     files = [
         path
@@ -68,6 +84,17 @@ def program() -> dict[str, str]:
         if path.relative_to(root).parts[0] not in IDLE_ROOMS
     ]
     return versions() | {'code': code_fingerprint(root, files)}
+
+
+def _package_fingerprint(module: str) -> str:
+    """That of the top-level package which a module is in."""
+    spec = find_spec(module.partition('.')[0])
+    if spec is None or spec.origin is None:
+        return ''
+    place = Path(spec.origin)
+    root = place.parent
+    files = sorted(root.rglob('*.py')) if spec.submodule_search_locations else [place]
+    return code_fingerprint(root, files)
 
 
 def is_finished(folder: Path, key: str) -> bool:

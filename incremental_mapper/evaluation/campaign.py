@@ -45,7 +45,16 @@ class Plan:
 
 
 def prepare_out_dir(folder: Path, inputs: Sequence[Path], force: bool) -> None:
-    """Make the folder, or take that of an earlier evaluation; raises OutputError."""
+    """Make the folder, or take that of an earlier evaluation.
+
+    Args:
+        folder: The folder.
+        inputs: What is to be mapped; the folder must not lie in one of them.
+        force: Take it although it holds something else.
+
+    Raises:
+        OutputError: It cannot be made, or must not be taken.
+    """
     for path in inputs:
         if path.is_dir() and folder.resolve().is_relative_to(path.resolve()):
             raise OutputError(f'{folder}: lies in the input {path}; name a folder outside of it')
@@ -70,10 +79,20 @@ def unfinished(jobs: Sequence[Job]) -> list[Job]:
 def evaluate(
     plan: Plan, todo: Sequence[Job], workers: Workers, tell: Callable[[Outcome], object]
 ) -> Evaluation:
-    """Run the jobs ``todo`` of a plan, compare all of them and write ``evaluation.json``.
+    """Run what is left of a plan, compare all of its runs and write ``evaluation.json``.
 
-    ``tell`` is called with the outcome of each job that was run. Raises KeyboardInterrupt where it
-    was interrupted; what is done until then is not run again.
+    Args:
+        plan: All jobs.
+        todo: Those that have to be run, see ``unfinished``.
+        workers: Whoever runs them.
+        tell: Called with the outcome of each job that was run.
+
+    Returns:
+        What was run and found; a job that failed is told there.
+
+    Raises:
+        KeyboardInterrupt: It was interrupted; what is done until then is not run again.
+        InputError: A file of a finished run cannot be read.
     """
     evaluation = Evaluation(
         out_dir=plan.out_dir.resolve(),

@@ -29,7 +29,11 @@ class Inspection:
 
 
 def window_at(run: FinishedRun, stamp: int) -> int:
-    """Index of the window that holds a stamp; raises InputError where none does."""
+    """Index of the window that holds a stamp (ns).
+
+    Raises:
+        InputError: None does.
+    """
     for row in run.windows:
         if int(row['start_ns']) <= stamp < int(row['end_ns']):
             return int(row['window'])
@@ -37,7 +41,15 @@ def window_at(run: FinishedRun, stamp: int) -> int:
 
 
 def inspect_window(run: FinishedRun, index: int) -> Inspection:
-    """Read one window; raises InputError where the run has no such window."""
+    """Read one window of a finished run.
+
+    Args:
+        run: The run; ``candidates.parquet`` must be in its folder.
+        index: The window's number, as in ``windows.csv``.
+
+    Raises:
+        InputError: The run has no such window, or a file cannot be read.
+    """
     found = next((row for row in run.windows if int(row['window']) == index), None)
     if found is None:
         raise InputError(f'{run.folder}: no window {index}; {_extent(run)}')
@@ -53,7 +65,16 @@ def inspect_window(run: FinishedRun, index: int) -> Inspection:
 
 
 def why(rows: Sequence[Row], cut: bool, strategy: str) -> list[str]:
-    """Sentences that say why the winner of a window's candidates won, or why there is none."""
+    """Say why the winner of a window's candidates won, or why there is none.
+
+    Args:
+        rows: The window's rows of ``candidates.parquet``.
+        cut: Whether there were more candidates than were tried.
+        strategy: The name of the run's strategy.
+
+    Returns:
+        Sentences.
+    """
     if not rows:
         return ['There was nothing to choose: no scan and no fix is in this window.']
     winner = next((row for row in rows if row['winner']), None)

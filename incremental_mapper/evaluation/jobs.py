@@ -64,15 +64,24 @@ def plan_jobs(
     where: str,
     truth: Path | None = None,
 ) -> list[Job]:
-    """All jobs, input by input; an input that is given twice is taken once."""
+    """All jobs, input by input.
+
+    Args:
+        inputs: What is to be mapped; what is given twice is taken once.
+        out_dir: The folder of the evaluation.
+        strategies: Names, in the order of the table.
+        tree: The user's settings.
+        where: Where they come from, for messages.
+        truth: A file of true poses that replaces the truth in every input.
+    """
     paths = list(dict.fromkeys(path.resolve() for path in inputs))
     jobs = []
-    program = cache.program()
     own_truth = None if truth is None else truth.resolve()
     for path, name in zip(paths, sequence_names(paths), strict=True):
         prints = [cache.input_fingerprint(path), cache.file_fingerprint(own_truth)]
         for strategy in strategies:
             settings = merge(tree, {'selection': {'strategy': strategy}})
+            program = cache.program(strategy)
             key = cache.digest([*prints, settings, program])
             folder = out_dir.resolve() / name / strategy
             jobs.append(Job(name, strategy, path, own_truth, folder, settings, where, key, program))
@@ -82,7 +91,11 @@ def plan_jobs(
 def sequence_names(paths: Sequence[Path]) -> list[str]:
     """A short name for every input: its own, with the names of folders above where two agree.
 
-    ``paths`` are absolute and differ.
+    Args:
+        paths: Absolute paths that differ.
+
+    Returns:
+        Names without a slash that differ, in the order of the paths.
     """
     names = [path.stem if path.is_file() else path.name for path in paths]
     depth = 1
@@ -110,13 +123,12 @@ def run_job(job: Job) -> Outcome:
 
 
 def _run(job: Job) -> Outcome:
-    different = sorted(
-        name for name, value in cache.program().items() if job.program.get(name) != value
-    )
+    own = cache.program(job.strategy)
+    different = sorted(name for name, value in own.items() if job.program.get(name) != value)
     if different:
         name = different[0]
         raise MapperError(
-            f'this worker has {name} {cache.program()[name]}, the evaluation was started with '
+            f'this worker has {name} {own[name]}, the evaluation was started with '
             f'{job.program.get(name)}; install the same versions'
         )
     try:

@@ -237,7 +237,7 @@ def _tree(evaluation: Evaluation) -> dict[str, Any]:
         'strategies': list(evaluation.strategies),
         'settings': evaluation.settings,
         'settings_from': evaluation.settings_from,
-        'versions': cache.program(),
+        'versions': dict(cache.own_program()),
         'rows': [
             {
                 'name': row.name,

@@ -64,7 +64,11 @@ def motion_of_name(sequence: str) -> tuple[Motion | None, str]:
 def segment_by_motion(trajectory: Trajectory) -> tuple[Segment, ...]:
     """Cut a trajectory into pieces of one motion each, without gaps between them.
 
-    Empty where the trajectory is shorter than ``SHORTEST``.
+    Args:
+        trajectory: The truth, or an estimate.
+
+    Returns:
+        The pieces in the order of time; none where the trajectory is shorter than ``SHORTEST``.
     """
     if len(trajectory) < 2 or trajectory.stamps[-1] - trajectory.stamps[0] < SHORTEST * NANOSECONDS:
         return ()
@@ -92,9 +96,14 @@ def segment_by_motion(trajectory: Trajectory) -> tuple[Segment, ...]:
 
 
 def segment_indices(stamps: NDArray[np.int64], segments: tuple[Segment, ...]) -> NDArray[np.int64]:
-    """Which segment each stamp (M,) lies in, -1 for none; ``segments`` follow each other.
+    """Which piece of a drive each stamp lies in.
 
-    Stamps up to ``EDGE`` outside lie in the first and the last one.
+    Args:
+        stamps: Nanoseconds (M,).
+        segments: Pieces that follow each other.
+
+    Returns:
+        Indices (M,), -1 for none. Stamps up to ``EDGE`` outside lie in the first and the last one.
     """
     if not segments:
         return np.full(len(stamps), -1)

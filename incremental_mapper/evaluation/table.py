@@ -133,7 +133,16 @@ class Table:
 def make_table(
     entries: Sequence[Entry], strategies: Sequence[str], remarks: Iterable[str] = ()
 ) -> Table:
-    """Arrange entries as the paper does: blocks by motion, columns by sequence and strategy."""
+    """Arrange entries as the paper does: blocks by motion, columns by sequence and strategy.
+
+    Args:
+        entries: The numbers; their order gives that of the columns in a block.
+        strategies: Names, in the order of the columns of one sequence.
+        remarks: Lines that stand below the table.
+
+    Returns:
+        The table, with a block of means where there are several sequences.
+    """
     groups = _grouped(entries)
     # Where each name tells its block's motion, the column need not repeat it.
     short = all(motion_of_name(entry.sequence)[0] is entry.motion for entry in entries)
@@ -169,6 +178,13 @@ def mean_metrics(found: Sequence[Mapping[str, Entry]], strategies: Sequence[str]
 
     A number counts for a sequence only where every strategy has it, else the strategies would be
     compared on different drives.
+
+    Args:
+        found: The entries of each sequence, by strategy.
+        strategies: Names.
+
+    Returns:
+        The means in the order of the strategies.
     """
     means: list[Metrics] = [{} for _ in strategies]
     for row in ROWS:

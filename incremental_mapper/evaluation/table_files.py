@@ -118,7 +118,7 @@ def _page(evaluation: Evaluation, table: Table, beside: str) -> str:
 
 
 def _origin(evaluation: Evaluation) -> str:
-    versions = ', '.join(f'{name} {version}' for name, version in cache.program().items())
+    versions = ', '.join(f'{name} {version}' for name, version in cache.own_program().items())
     return '\n'.join(
         [
             '```sh',

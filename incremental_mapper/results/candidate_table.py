@@ -102,10 +102,16 @@ class CandidateWriter:
 
 @contextmanager
 def candidate_recorder(path: Path) -> Iterator[Callable[[WindowResult], None] | None]:
-    """A function that adds a window's candidates to the file ``path``.
+    """Write the candidates of windows; a block that fails leaves no file.
 
-    None where pyarrow is missing. A block that fails leaves no file. Raises OutputError where
-    the file cannot be written.
+    Args:
+        path: The file, which has its name only once it is whole.
+
+    Yields:
+        A function that adds a window's candidates; None where pyarrow is missing.
+
+    Raises:
+        OutputError: The file cannot be written.
     """
     if find_spec('pyarrow') is None:
         yield None
@@ -120,7 +126,15 @@ def candidate_recorder(path: Path) -> Iterator[Callable[[WindowResult], None] | 
 
 
 def candidate_rows(window: WindowResult) -> list[Row]:
-    """A row for each candidate of a window, with the keys of ``COLUMNS``."""
+    """A row for each candidate of a window, with the keys of ``COLUMNS``.
+
+    Args:
+        window: A window that the mapper has closed.
+
+    Returns:
+        Rows in the order of the enumeration; the winner is among them even where the search had
+        left it out.
+    """
     tried = list(window.tried)
     if window.winner is not None and all(item.candidate != window.winner for item in tried):
         # A bridge may take a candidate that the search had left out.
@@ -129,9 +143,18 @@ def candidate_rows(window: WindowResult) -> list[Row]:
 
 
 def read_window(path: Path, window: int) -> list[Row]:
-    """The rows of one window, in the order of the enumeration; [] where it has no candidate.
+    """The rows of one window.
 
-    Raises InputError where the file or pyarrow is missing, or the file is no such table.
+    Args:
+        path: A ``candidates.parquet``.
+        window: The window's number, as in ``windows.csv``.
+
+    Returns:
+        Rows with the keys of ``COLUMNS`` in the order of the enumeration; none where the window
+        has no candidate.
+
+    Raises:
+        InputError: The file or pyarrow is missing, or the file is no such table.
     """
     try:
         import pyarrow
@@ -186,7 +209,7 @@ def _row(window: WindowResult, index: int, tried: Tried) -> Row:
 
 
 def members_text(candidate: Candidate) -> str:
-    """The clusters as windows.csv writes them, for example ``gnss+left|right``."""
+    """The clusters as ``windows.csv`` writes them, for example ``gnss+left|right``."""
     return '|'.join(
         '+'.join(core.sensor for core in cluster.members) for cluster in candidate.clusters
     )

@@ -8,8 +8,8 @@ import gtsam
 import numpy as np
 
 from incremental_mapper.graph.factors import Factor, pose_numbers
-from incremental_mapper.graph.values import cluster_of, key_name, kind_of
 from incremental_mapper.smoothing.graph_state import PlacedCluster
+from incremental_mapper.variables import cluster_of, key_name, kind_of
 
 TOLERANCE = 1e-6
 """Largest difference of a number between equal graphs: metres, quaternions, m/s."""

@@ -20,13 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from incremental_mapper.errors import ConfigError, InputError, OutputError
-from incremental_mapper.graph.values import cluster_of, pose_key
 from incremental_mapper.map.cloud import write_ply
 from incremental_mapper.mapping.result import MapResult
 from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.results.candidate_table import FILE_NAME, read_window
 from incremental_mapper.results.graph_json import graph_tree
 from incremental_mapper.trajectory import Trajectory, read_tum, write_tum
+from incremental_mapper.variables import cluster_of, pose_key
 from incremental_mapper.visualization.graph_view import GRAPH_SECONDS, typical_stretch
 from incremental_mapper.visualization.run_pictures import draw_run
 

@@ -36,9 +36,14 @@ class TrajectoryErrors:
 
 
 def trajectory_errors(estimate: Trajectory, truth: Trajectory) -> TrajectoryErrors | None:
-    """Compare ``estimate`` with ``truth``, interpolated at the estimate's stamps.
+    """Compare an estimate with the truth, interpolated at the estimate's stamps.
 
-    Returns None where the truth covers fewer than two poses. Stamps must be in one time system.
+    Args:
+        estimate: T_map_base; its map frame may be another than that of the truth.
+        truth: The true poses of base_link, with stamps of the same clock.
+
+    Returns:
+        The errors; None where the truth covers fewer than two poses.
     """
     covered, reference = match_truth(estimate, truth)
     if len(covered) < MIN_POSES:
@@ -63,16 +68,21 @@ def trajectory_errors(estimate: Trajectory, truth: Trajectory) -> TrajectoryErro
 
 
 def consecutive_pairs(stamps: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Indices (P, 2) of neighbouring poses."""
+    """Indices (P, 2) of neighbouring poses; ``stamps`` is (M,) nanoseconds, P = M - 1."""
     first = np.arange(max(len(stamps) - 1, 0), dtype=np.int64)
     return np.stack([first, first + 1], axis=1)
 
 
 def pairs_apart(stamps: NDArray[np.int64], span_ns: int) -> NDArray[np.int64]:
-    """Indices (P, 2): each pose with the pose nearest to ``span_ns`` later.
+    """Each pose with the pose nearest to a span later.
 
-    A pose has no partner where the nearest one is off by more than half the span. ``stamps`` is
-    (M,) nanoseconds, strictly increasing.
+    Args:
+        stamps: Nanoseconds (M,), strictly increasing.
+        span_ns: The span in nanoseconds; a pose has no partner where the nearest one is off by
+            more than half of it.
+
+    Returns:
+        Indices (P, 2) of the earlier and the later pose.
     """
     first = np.arange(len(stamps), dtype=np.int64)
     wanted = stamps + span_ns
@@ -87,10 +97,17 @@ def pairs_apart(stamps: NDArray[np.int64], span_ns: int) -> NDArray[np.int64]:
 def relative_pose_errors(
     estimate: Trajectory, truth: Trajectory, pairs: NDArray[np.int64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Relative pose error of every pair: metres (P,) and degrees (P,).
+    """The relative pose error of every pair.
 
-    ``truth`` holds one pose for each pose of ``estimate``. The error of the pair (i, j) is
-    E = (T_truth_i^-1 T_truth_j)^-1 (T_estimate_i^-1 T_estimate_j).
+    That of the pair (i, j) is E = (T_truth_i^-1 T_truth_j)^-1 (T_estimate_i^-1 T_estimate_j).
+
+    Args:
+        estimate: M poses.
+        truth: The true pose at each of their stamps, M too.
+        pairs: Indices (P, 2) into both.
+
+    Returns:
+        Metres (P,) and degrees (P,).
     """
     if len(pairs) == 0:
         return np.zeros(0), np.zeros(0)

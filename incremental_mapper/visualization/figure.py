@@ -108,7 +108,11 @@ WHOLE = Look()
 
 
 def new_figure(look: Look) -> 'Figure':
-    """An empty figure; raises OutputError where matplotlib is missing."""
+    """An empty figure of a look's size and ground.
+
+    Raises:
+        OutputError: matplotlib is missing.
+    """
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
@@ -125,7 +129,18 @@ def new_figure(look: Look) -> 'Figure':
 def box(
     look: Look, left: int, bottom: int, right: int, top: int
 ) -> tuple[float, float, float, float]:
-    """The rectangle of an axes, given by its margins in pixels."""
+    """The rectangle of an axes, as matplotlib's ``add_axes`` takes it.
+
+    Args:
+        look: How the picture is drawn.
+        left: Margin in pixels; so are the others.
+        bottom: Margin below.
+        right: Margin at the right.
+        top: Margin above.
+
+    Returns:
+        Left, bottom, width and height as shares of the figure.
+    """
     return (
         left / look.width,
         bottom / look.height,
@@ -143,15 +158,15 @@ def axes_pixels(axes: 'Axes') -> tuple[float, float]:
 
 
 def save(figure: 'Figure', path: Path) -> None:
-    """Write the figure as PNG, SVG or PDF, as the suffix says.
+    """Write the figure as PNG, SVG or PDF, as the suffix says; the same one makes the same file.
 
-    Raises OutputError where the suffix is another, or the file cannot be written.
+    Raises:
+        OutputError: The suffix is another, or the file cannot be written.
     """
     import matplotlib
 
     check_suffix(path)
     suffix = path.suffix.lower()
-    # The same picture makes the same file.
     metadata = {'.svg': {'Date': None}, '.pdf': {'CreationDate': None}}.get(suffix)
     try:
         if suffix == '.svg':
@@ -164,7 +179,11 @@ def save(figure: 'Figure', path: Path) -> None:
 
 
 def check_suffix(path: Path) -> None:
-    """Raise OutputError where a picture cannot have this name."""
+    """Check the name of a picture.
+
+    Raises:
+        OutputError: Its suffix is none of ``FORMATS``.
+    """
     if path.suffix.lower() not in FORMATS:
         raise OutputError(
             f'{path}: has the suffix {path.suffix!r}; pictures are {", ".join(FORMATS)}'
@@ -175,8 +194,16 @@ def svg_for_page(figure: 'Figure', name: str, label: str) -> str:
     """The figure, drawn with the theme ``PAGE``, as an SVG element to be put into a page.
 
     Its colours are the page's CSS variables ``--ground``, ``--ink`` and so on; its text stays
-    text in the page's font. ``name`` must be the page's only one, since names inside an SVG are
-    seen in all of the page; ``label`` is what a reader is told who does not see the picture.
+    text in the page's font.
+
+    Args:
+        figure: What was drawn.
+        name: A name that no other picture of the page has, since names inside an SVG are seen in
+            all of the page.
+        label: What a reader is told who does not see the picture.
+
+    Returns:
+        The element ``<svg>``.
     """
     import matplotlib
 
@@ -201,7 +228,7 @@ def svg_for_page(figure: 'Figure', name: str, label: str) -> str:
 
 
 def css_colour(colour: str) -> str:
-    """A colour of ``PAGE`` in CSS: the variable that holds it."""
+    """A colour of ``PAGE`` in CSS: the variable that holds it, such as ``var(--ink)``."""
     role = next(role for role, held in _PAGE.items() if held == colour)
     return f'var(--{_css_name(role)})'
 
@@ -212,7 +239,14 @@ def css_variables(theme: Theme) -> str:
 
 
 def title(figure: 'Figure', heading: str, facts: str, look: Look) -> None:
-    """A heading in the upper left corner, and what the picture shows behind it in grey."""
+    """Write a heading into the upper left corner.
+
+    Args:
+        figure: The figure; one whose look has no heading stays as it is.
+        heading: What the picture is.
+        facts: What it shows, behind the heading in grey.
+        look: How the picture is drawn.
+    """
     if not look.heading:
         return
     height = 1.0 - 49.5 / look.height

@@ -87,11 +87,20 @@ class Shown:
 
 
 def draw_graph(path: Path, graph: Record, start_ns: int, end_ns: int, look: Look = WHOLE) -> None:
-    """Draw the part of ``graph`` (the layout of graph.json) between two stamps.
+    """Draw a stretch of a graph into a file; one to two seconds are legible.
 
-    A span of one to two seconds is legible. Variables that no path of factors joins to the
-    largest part of the graph are marked. Raises OutputError where matplotlib is missing or the
-    file cannot be written, ValueError where the span is empty.
+    Variables that no path of factors joins to the largest component of the graph are marked.
+
+    Args:
+        path: A PNG, SVG or PDF, as the suffix says.
+        graph: The layout of ``graph.json``.
+        start_ns: Stamp where the stretch begins.
+        end_ns: Stamp where it ends.
+        look: Colours and size.
+
+    Raises:
+        OutputError: matplotlib is missing, or the file cannot be written.
+        ValueError: The stretch is empty.
     """
     save(graph_figure(graph, start_ns, end_ns, look)[0], path)
 
@@ -99,7 +108,22 @@ def draw_graph(path: Path, graph: Record, start_ns: int, end_ns: int, look: Look
 def graph_figure(
     graph: Record, start_ns: int, end_ns: int, look: Look, origin: int | None = None
 ) -> tuple['Figure', Shown]:
-    """The figure that ``draw_graph`` saves, and how much it shows; see ``paint_graph``."""
+    """The figure that ``draw_graph`` saves.
+
+    Args:
+        graph: The layout of ``graph.json``.
+        start_ns: Stamp where the stretch begins.
+        end_ns: Stamp where it ends.
+        look: Colours and size.
+        origin: See ``paint_graph``.
+
+    Returns:
+        The figure, and how much it shows.
+
+    Raises:
+        OutputError: matplotlib is missing.
+        ValueError: The stretch is empty.
+    """
     figure = new_figure(look)
     margins = (152, 117, 24, 72) if look.heading else (round(11 * look.text), 50, 10, 8)
     axes = figure.add_axes(box(look, *margins))
@@ -122,10 +146,23 @@ def paint_graph(
     origin: int | None = None,
     imu_stamps: Sequence[int] = (),
 ) -> Shown:
-    """Draw a piece of a graph into axes, and a row of IMU samples where their stamps are given.
+    """Draw a stretch of a graph into axes of one's own.
 
-    ``origin`` is the stamp (ns) of second 0, by default that of the first cluster, which differs
-    between graphs of one drive. Raises ValueError where the span is empty.
+    Args:
+        axes: Where to draw.
+        graph: The layout of ``graph.json``.
+        start_ns: Stamp where the stretch begins.
+        end_ns: Stamp where it ends.
+        look: Colours and sizes.
+        origin: Stamp (ns) of second 0; by default that of the first cluster, which differs
+            between graphs of one drive.
+        imu_stamps: Stamps (ns) of IMU samples to be drawn as a row of their own.
+
+    Returns:
+        How much is shown.
+
+    Raises:
+        ValueError: The stretch is empty.
     """
     if end_ns <= start_ns:
         raise ValueError(f'the span from {start_ns} to {end_ns} is empty')
@@ -328,7 +365,15 @@ def _finish(canvas: _Canvas, start_ns: int, end_ns: int) -> None:
 
 
 def graph_legend(graphs: Sequence[Record], theme: Theme) -> list[tuple[str, str, str, str]]:
-    """What pictures of the graphs show: label, shape (node, factor or box), fill and edge."""
+    """What pictures of some graphs show.
+
+    Args:
+        graphs: Graphs with the layout of ``graph.json``.
+        theme: The colours of the pictures.
+
+    Returns:
+        For each kind of thing its label, its shape (node, factor or box), its fill and its edge.
+    """
     kinds = {factor['kind'] for graph in graphs for factor in graph['factors']}
     lidars = sorted({name for graph in graphs for name in sensor_names(graph)[0]})
     colours = _sensor_colours(lidars, [], theme)

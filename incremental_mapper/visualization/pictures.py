@@ -46,9 +46,16 @@ def draw_trajectory(
 ) -> None:
     """Draw the trajectory from above, over the truth and the GNSS positions that were used.
 
-    ``fixes`` is (K, 3) metres in the map frame. The truth may have a map frame of its own: the
-    part of it that the estimate covers is moved by the rigid transform that fits best. Raises
-    OutputError where matplotlib is missing or the file cannot be written.
+    Args:
+        path: A PNG, SVG or PDF, as the suffix says.
+        estimate: T_map_base.
+        truth: True poses. They may have a map frame of their own: the part that the estimate
+            covers is moved by the rigid transform that fits best.
+        fixes: Antenna positions (K, 3) in metres, in the map frame of the estimate.
+        look: Colours and size.
+
+    Raises:
+        OutputError: matplotlib is missing, or the file cannot be written.
     """
     save(trajectory_figure(estimate, truth, fixes, look), path)
 
@@ -58,7 +65,14 @@ def draw_map(
 ) -> None:
     """Draw the map from above, coloured by height, with the trajectory over it.
 
-    ``points`` is (N, 3) metres in the map frame. Raises OutputError like ``draw_trajectory``.
+    Args:
+        path: A PNG, SVG or PDF, as the suffix says.
+        points: The map (N, 3) in metres, in the map frame.
+        estimate: T_map_base.
+        look: Colours and size.
+
+    Raises:
+        OutputError: matplotlib is missing, or the file cannot be written.
     """
     save(map_figure(points, estimate, look), path)
 

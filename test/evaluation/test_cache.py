@@ -66,6 +66,29 @@ def test_every_change_of_the_input_is_seen(small_input, change):
     assert not keys(small_input) & before
 
 
+def test_keys_depend_on_the_code_of_a_strategy_of_ones_own(monkeypatch, small_input, tmp_path):
+    site = tmp_path / 'site'
+    (site / 'my_rules').mkdir(parents=True)
+    (site / 'my_rules' / '__init__.py').touch()
+    (site / 'my_rules' / 'rule.py').write_text('first = None\n')
+    (site / 'my_rules-1.0.dist-info').mkdir()
+    (site / 'my_rules-1.0.dist-info' / 'METADATA').write_text('Name: my_rules\nVersion: 1.0\n')
+    (site / 'my_rules-1.0.dist-info' / 'entry_points.txt').write_text(
+        '[incremental_mapper.strategies]\nmine = my_rules.rule:first\n'
+    )
+    monkeypatch.syspath_prepend(site)
+
+    def keys():
+        jobs = plan_jobs([small_input], tmp_path / 'out', ['base', 'mine'], {}, 'x')
+        return {job.strategy: job.key for job in jobs}
+
+    before = keys()
+    assert keys() == before
+    (site / 'my_rules' / 'rule.py').write_text('first = 1\n')
+    changed = keys()
+    assert changed['base'] == before['base'] and changed['mine'] != before['mine']
+
+
 @pytest.fixture
 def copy(monkeypatch, tmp_path):
     """A package of one empty file for each room, whose code the cache looks at."""
@@ -76,7 +99,7 @@ def copy(monkeypatch, tmp_path):
     (root / '__init__.py').touch()
     monkeypatch.setattr(incremental_mapper, '__file__', str(root / '__init__.py'))
     yield root
-    cache.program.cache_clear()
+    cache.own_program.cache_clear()
 
 
 PACKAGE = Path(incremental_mapper.__file__).parent
@@ -85,12 +108,12 @@ IDLE = {'cli', 'evaluation', 'ros', 'visualization'}
 
 
 def code():
-    cache.program.cache_clear()
-    return cache.program()['code']
+    cache.own_program.cache_clear()
+    return cache.own_program()['code']
 
 
 def test_program_knows_its_version():
-    assert cache.program()['incremental_mapper'] == incremental_mapper.__version__
+    assert cache.own_program()['incremental_mapper'] == incremental_mapper.__version__
 
 
 def test_code_counts_room_by_room(copy):

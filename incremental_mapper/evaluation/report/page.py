@@ -39,8 +39,9 @@ TEMPLATE, STYLE = 'page.html', 'style.css'
 def write_report(out_dir: Path) -> Path:
     """Write ``report.html`` into an evaluation's folder; returns its path.
 
-    Raises InputError where the folder holds no evaluation, OutputError where the page cannot be
-    written.
+    Raises:
+        InputError: The folder holds no evaluation.
+        OutputError: The page cannot be written.
     """
     evaluation = read_record(out_dir)
     environment = Environment(
