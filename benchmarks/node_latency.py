@@ -41,7 +41,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu, NavSatFix, PointCloud2
 
 from incremental_mapper.config import make_config, merge, read_yaml
-from incremental_mapper.datasets.bags import open_bag
+from incremental_mapper.datasets.bag_files import open_bag
 from incremental_mapper.errors import InputError, MapperError
 from incremental_mapper.mapping.window_buffer import WindowBuffer
 from incremental_mapper.measurements import (

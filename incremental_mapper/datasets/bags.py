@@ -8,10 +8,10 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from rosbags.highlevel import AnyReader
-from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
 from incremental_mapper.config import Tree, make_config, merge, read_yaml
+from incremental_mapper.datasets.bag_files import Topic, bag_files, open_bag
 from incremental_mapper.datasets.message_conversion import (
     describe_times,
     fix_from_message,
@@ -21,14 +21,13 @@ from incremental_mapper.datasets.message_conversion import (
 )
 from incremental_mapper.datasets.sensor_settings import listed_lidars, offset_nanoseconds
 from incremental_mapper.datasets.source import SourceInfo
-from incremental_mapper.datasets.topics import Choice, Topic, choose_topics, find_truth_topic
+from incremental_mapper.datasets.topics import TopicChoice, choose_topics, find_truth_topic
 from incremental_mapper.datasets.truth import find_truth
 from incremental_mapper.errors import InputError, MeasurementError
 from incremental_mapper.measurements import NANOSECONDS, Drops, Measurement
 from incremental_mapper.trajectory import Trajectory
 
 SETTINGS_FILE = 'incremental_mapper.yaml'
-STORAGE_SUFFIXES = ('.mcap', '.db3')
 
 Maker: TypeAlias = Callable[[Any, str, int], Measurement]
 Converter: TypeAlias = Callable[[Any], Measurement]
@@ -190,46 +189,6 @@ class BagSource:
         return Trajectory(unique, table[:, :3], quaternions)
 
 
-def open_bag(path: Path) -> AnyReader:
-    """A reader that is open, and to be closed; raises InputError where the bag cannot be read."""
-    files = bag_files(path)
-    try:
-        reader = AnyReader(files, default_typestore=get_typestore(Stores.ROS2_JAZZY))
-        reader.open()
-    # Of a damaged file the library raises whatever its parser stumbles over.
-    except Exception as error:
-        reason = ' '.join(str(error).split()) or type(error).__name__
-        raise InputError(
-            f'{path}: cannot be read as a bag ({reason}); an interrupted recording '
-            'may need "ros2 bag reindex", "mcap recover" or "rosbag reindex"'
-        ) from error
-    return reader
-
-
-def bag_files(path: Path) -> list[Path]:
-    """What the bag reader has to open for ``path``; raises InputError where that is no bag."""
-    if path.is_file():
-        if path.suffix in (*STORAGE_SUFFIXES, '.bag'):
-            return [path]
-        raise InputError(f'{path}: is no bag; expected a .mcap, .db3 or .bag file')
-    if not path.is_dir():
-        raise InputError(f'{path}: does not exist')
-    if (path / 'metadata.yaml').is_file():
-        return [path]
-    storage = sorted(file for file in path.iterdir() if file.suffix in STORAGE_SUFFIXES)
-    if len(storage) == 1:
-        return storage
-    if storage:
-        raise InputError(
-            f'{path}: has {len(storage)} bag files but no metadata.yaml; '
-            'make one with "ros2 bag reindex", or give one of the files'
-        )
-    ros1 = sorted(path.glob('*.bag'))
-    if not ros1:
-        raise InputError(f'{path}: is no bag; expected metadata.yaml, a .mcap, .db3 or .bag file')
-    return list(ros1)
-
-
 def _own_settings(folder: Path, listed: list[str] | None) -> Tree:
     """The settings file beside a bag, without the LiDARs that the user does not list."""
     path = folder / SETTINGS_FILE
@@ -243,7 +202,7 @@ def _own_settings(folder: Path, listed: list[str] | None) -> Tree:
     return own
 
 
-def _topic_settings(choice: Choice, configured: list[str]) -> Tree:
+def _topic_settings(choice: TopicChoice, configured: list[str]) -> Tree:
     """Settings tree that names the chosen topics."""
     chosen = {name: {'topic': topic.name} for name, topic in choice.topics.items()}
     lidars: Tree = {'names': configured or list(choice.lidars)}

@@ -4,7 +4,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from incremental_mapper.datasets.bags import STORAGE_SUFFIXES, BagSource
+from incremental_mapper.datasets.bag_files import STORAGE_SUFFIXES
+from incremental_mapper.datasets.bags import BagSource
 from incremental_mapper.datasets.kaist import KaistSource
 from incremental_mapper.datasets.kaist_files import is_kaist_folder
 from incremental_mapper.datasets.source import Source

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from incremental_mapper.config import Config, Sensor
+from incremental_mapper.datasets.bag_files import Topic, describe_topics
 from incremental_mapper.errors import InputError
 
 CLOUD = 'sensor_msgs/msg/PointCloud2'
@@ -15,16 +16,7 @@ TRUTH_TOPIC = '/ground_truth/odometry'
 
 
 @dataclass(frozen=True, slots=True)
-class Topic:
-    """A topic of a bag: name, type as ``package/msg/Type``, number of messages."""
-
-    name: str
-    type: str
-    count: int
-
-
-@dataclass(frozen=True, slots=True)
-class Choice:
+class TopicChoice:
     """Topic of every sensor that the bag has, and remarks on how they were chosen."""
 
     topics: dict[str, Topic]
@@ -32,7 +24,7 @@ class Choice:
     notes: tuple[str, ...]
 
 
-def choose_topics(path: Path, topics: Sequence[Topic], config: Config) -> Choice:
+def choose_topics(path: Path, topics: Sequence[Topic], config: Config) -> TopicChoice:
     """Find the LiDARs', the IMU's and the receiver's topics.
 
     Raises InputError, listing what the bag has, where a named topic is missing or of another
@@ -52,7 +44,7 @@ def choose_topics(path: Path, topics: Sequence[Topic], config: Config) -> Choice
         )
         if topic is not None:
             chosen[name] = topic
-    return Choice(chosen, tuple(lidars), tuple(notes))
+    return TopicChoice(chosen, tuple(lidars), tuple(notes))
 
 
 def find_truth_topic(topics: Sequence[Topic]) -> str | None:
@@ -132,11 +124,3 @@ def _name_clouds(clouds: Sequence[Topic]) -> dict[str, Topic]:
         names[t.name] if taken.count(names[t.name]) == 1 else t.name.strip('/').replace('/', '_'): t
         for t in clouds
     }
-
-
-def describe_topics(topics: Sequence[Topic]) -> str:
-    """One line on everything in a bag, for error messages."""
-    if not topics:
-        return 'The bag has no topics.'
-    lines = [f'{t.name} ({t.type}, {t.count} messages)' for t in sorted(topics, key=str)]
-    return 'The bag has ' + ', '.join(lines)

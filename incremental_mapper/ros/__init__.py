@@ -1,4 +1,5 @@
-"""The ROS node: messages in, one worker that maps, topics and services out.
+"""ROS: the node, its client, and the player; messages in, updates out.
 
-The only room that imports rclpy. Callbacks convert and buffer; the worker owns the mapper.
+The only room that imports rclpy. Callbacks convert and hand on; one worker thread owns the mapper,
+and what it tells is published by the executor's thread. Neither waits for the other.
 """

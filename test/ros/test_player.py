@@ -1,6 +1,9 @@
 """Bags that are played into real DDS topics and heard by a subscriber in this process."""
 
 import sqlite3
+import subprocess
+import sys
+import textwrap
 import time
 from functools import partial
 from pathlib import Path
@@ -416,3 +419,15 @@ def test_waiting_ends_when_no_more_subscriptions_come(tmp_path):
     path = write_bag(tmp_path / 'bag')
     with Listener({'/imu': Imu}), open_player(path, PlayOptions(wait=60.0), Patience()) as player:
         assert player.wait_for_subscriptions()
+
+
+def test_player_loads_nothing_of_the_mapper():
+    program = """
+        import sys
+        import incremental_mapper.ros.player.playback
+        print(sorted({'gtsam', 'scipy', 'pydantic', 'numba'} & sys.modules.keys()))
+    """
+    done = subprocess.run(
+        [sys.executable, '-c', textwrap.dedent(program)], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == '[]'

@@ -1,1 +1,4 @@
-"""The player: a bag's messages on ROS topics, for installations without rosbag2."""
+"""Player: a bag on ROS topics at its own pace, for installations without rosbag2.
+
+Knows messages, not what is in them: nothing of the mapper or its libraries is loaded.
+"""

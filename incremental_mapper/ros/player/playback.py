@@ -17,7 +17,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.signals import SignalHandlerOptions
 from rosgraph_msgs.msg import Clock
 
-from incremental_mapper.datasets.topics import describe_topics
+from incremental_mapper.datasets.bag_files import describe_topics
 from incremental_mapper.errors import InputError
 from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.ros.player.pace import Pace

@@ -17,8 +17,7 @@ from rosbags.interfaces import (
 )
 from rosbags.typesys import Stores, get_typestore
 
-from incremental_mapper.datasets.bags import open_bag
-from incremental_mapper.datasets.topics import Topic
+from incremental_mapper.datasets.bag_files import Topic, open_bag
 from incremental_mapper.errors import InputError
 
 Converter: TypeAlias = Callable[[bytes], bytes | memoryview]
