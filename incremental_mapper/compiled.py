@@ -20,9 +20,15 @@ LONG = 2.0
 
 
 def kernel(function: Function) -> Function:
-    """Compile a function on its first call with arguments of some types; threads may overlap.
+    """Have a function compiled on its first call with arguments of some types.
 
-    Numbers follow IEEE 754: what is divided by zero is no error.
+    Args:
+        function: loops over numbers and arrays, as Numba knows them. Numbers follow IEEE 754: what
+            is divided by zero is no error.
+
+    Returns:
+        The function, which runs without Python's lock, so that threads overlap. Its code is kept
+        on disk where that is possible.
     """
     compiled: Any = numba.njit(nogil=True, error_model='numpy')(function)
     with suppress(RuntimeError):  # no folder can be written to
@@ -39,7 +45,10 @@ def kernel(function: Function) -> Function:
 
 @contextmanager
 def waiting() -> Iterator[None]:
-    """Log a warning if what is compiled inside was not kept on disk and takes long."""
+    """Tell whoever waits: logs a warning if what is compiled inside the block takes long.
+
+    Code that was kept on disk is loaded in a fraction of a second, and nothing is said.
+    """
     text = 'compiling; this takes about 15 s and is needed once after an installation'
     timer = Timer(LONG, logging.getLogger('incremental_mapper').warning, [text])
     timer.daemon = True

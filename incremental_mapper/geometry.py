@@ -8,9 +8,17 @@ from numpy.typing import NDArray
 
 
 def pose_matrix(numbers: Sequence[float]) -> NDArray[np.float64]:
-    """Homogeneous matrix of x, y, z, qx, qy, qz, qw, or of a row-major 3x4 matrix.
+    """Make a homogeneous matrix of the numbers of a pose.
 
-    Raises ValueError where the numbers are no rigid transform.
+    Args:
+        numbers: x, y, z in metres and the quaternion qx, qy, qz, qw, or the twelve numbers of a
+            row-major 3x4 matrix.
+
+    Returns:
+        T_a_b (4, 4), whose rotation is one to rounding.
+
+    Raises:
+        ValueError: the numbers are no rigid transform.
     """
     values = np.asarray(numbers, dtype=np.float64)
     matrix = np.eye(4)
@@ -35,10 +43,17 @@ def pose_matrix(numbers: Sequence[float]) -> NDArray[np.float64]:
 
 
 def nearest_rotation(matrix: NDArray[np.float64], tolerance: float = 1e-2) -> NDArray[np.float64]:
-    """The rotation nearest to a (3, 3) matrix that is one up to rounding.
+    """Find the rotation nearest to a matrix that is one up to rounding.
 
-    Raises ValueError where M Mᵀ differs from the identity by more than ``tolerance`` or where M
-    is a reflection.
+    Args:
+        matrix: M (3, 3), such as a calibration file with few decimals holds.
+        tolerance: largest difference between M Mᵀ and the identity, element by element.
+
+    Returns:
+        The rotation (3, 3) with the least sum of squared differences from M.
+
+    Raises:
+        ValueError: M is further from a rotation than that, a reflection, or not finite.
     """
     if not np.isfinite(matrix).all():
         raise ValueError('a rotation must be finite')
@@ -49,6 +64,7 @@ def nearest_rotation(matrix: NDArray[np.float64], tolerance: float = 1e-2) -> ND
             f'the matrix is no rotation: determinant {determinant:.4g}, '
             f'largest error of M Mᵀ {error:.3g}'
         )
+    # gtsam.Rot3.ClosestTo is as exact, but takes whatever it is given for a rotation.
     left, _, right = np.linalg.svd(matrix)
     rotation: NDArray[np.float64] = left @ right
     return rotation
@@ -57,6 +73,14 @@ def nearest_rotation(matrix: NDArray[np.float64], tolerance: float = 1e-2) -> ND
 def transform_points(
     matrix: NDArray[np.float64], points: NDArray[np.floating]
 ) -> NDArray[np.float64]:
-    """Points (N, 3) moved by a (4, 4) matrix ``T_target_source``."""
+    """Move points to another frame.
+
+    Args:
+        matrix: T_target_source (4, 4).
+        points: (N, 3) in the source frame, metres.
+
+    Returns:
+        The points (N, 3) in the target frame, metres.
+    """
     moved: NDArray[np.float64] = points @ matrix[:3, :3].T + matrix[:3, 3]
     return moved

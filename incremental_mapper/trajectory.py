@@ -43,9 +43,16 @@ class Trajectory:
         return matrices
 
     def interpolate(self, stamps: NDArray[np.int64]) -> 'Trajectory':
-        """Poses at ``stamps``: linear in position, SLERP in rotation.
+        """Find the poses at other stamps: linear in position, SLERP in rotation.
 
-        Raises ValueError for a stamp outside the trajectory; see ``covers``.
+        Args:
+            stamps: (K,) nanoseconds, in any order.
+
+        Returns:
+            K poses at these stamps, in their order.
+
+        Raises:
+            ValueError: a stamp lies outside the trajectory; see ``covers``.
         """
         if len(stamps) == 0:
             return Trajectory(stamps, np.zeros((0, 3)), np.zeros((0, 4)))
@@ -64,7 +71,7 @@ class Trajectory:
         return Trajectory(stamps, positions, quaternions)
 
     def covers(self, stamps: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Which of ``stamps`` lie between the first and the last pose."""
+        """Tell which of ``stamps`` (K,), ns, lie between the first and the last pose, (K,)."""
         if len(self) == 0:
             return np.zeros(len(stamps), dtype=np.bool_)
         inside: NDArray[np.bool_] = (stamps >= self.stamps[0]) & (stamps <= self.stamps[-1])
@@ -72,7 +79,15 @@ class Trajectory:
 
 
 def from_matrices(stamps: NDArray[np.int64], matrices: NDArray[np.float64]) -> Trajectory:
-    """Make a trajectory of matrices (M, 4, 4), sorted by stamp, each stamp once."""
+    """Make a trajectory of matrices.
+
+    Args:
+        stamps: (M,) nanoseconds, in any order.
+        matrices: T_map_base (M, 4, 4), or their upper rows (M, 3, 4).
+
+    Returns:
+        The poses sorted by stamp; of several with one stamp the first counts.
+    """
     order = np.unique(stamps, return_index=True)[1]
     return Trajectory(
         stamps=np.asarray(stamps, dtype=np.int64)[order],
@@ -82,7 +97,15 @@ def from_matrices(stamps: NDArray[np.int64], matrices: NDArray[np.float64]) -> T
 
 
 def match_truth(estimate: Trajectory, truth: Trajectory) -> tuple[Trajectory, Trajectory]:
-    """Poses of ``estimate`` within the truth's time span, and the true poses at their stamps."""
+    """Bring an estimate and the truth to the same stamps.
+
+    Args:
+        estimate: poses at stamps of their own.
+        truth: the true poses, on the same clock; their map frame may be another one.
+
+    Returns:
+        The poses of ``estimate`` within the truth's time span, and the true poses at their stamps.
+    """
     inside = truth.covers(estimate.stamps)
     covered = Trajectory(
         estimate.stamps[inside], estimate.positions[inside], estimate.quaternions[inside]
@@ -91,10 +114,17 @@ def match_truth(estimate: Trajectory, truth: Trajectory) -> tuple[Trajectory, Tr
 
 
 def fit_rigid(points: NDArray[np.float64], targets: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The rigid transform T_targets_points (4, 4) of least squares, without scale (Umeyama).
+    """Fit points to others by a rigid transform, without scale (Umeyama).
 
-    ``points`` and ``targets`` are (N, 3), N >= 1. Where the points leave the rotation open (they
-    coincide or lie on a line), it is one of the best.
+    By hand, as ``gtsam.Pose3.Align`` gives the same but nothing for fewer than three points.
+
+    Args:
+        points: (N, 3) with N >= 1, metres.
+        targets: (N, 3), the place of each of them in another frame, metres.
+
+    Returns:
+        T_targets_points (4, 4) with the least sum of squared distances. Where the points leave the
+        rotation open (they coincide or lie on a line), it is one of the best.
     """
     from_centre = points - points.mean(axis=0)
     to_centre = targets - targets.mean(axis=0)

@@ -1,6 +1,8 @@
-"""Thinning points to a voxel grid.
+"""Thinning the points of one scan to a voxel grid.
 
-Coordinates are kept in rows, (3, N), where that is quicker.
+By hand in NumPy, not with ``map.voxel_grid``: the LiDARs' processes thin their scans too, and would
+start most of a second later with a compiler. Coordinates are kept in rows, (3, N), where that is
+quicker.
 """
 
 import numpy as np
@@ -13,15 +15,28 @@ GOLDEN = 0x9E3779B97F4A7C15
 
 
 def thin(points: NDArray[np.float64], voxel_size: float) -> NDArray[np.float64]:
-    """One mean point per voxel, (M, 3), for points (N, 3)."""
+    """Keep one mean point per voxel.
+
+    Args:
+        points: (N, 3), metres.
+        voxel_size: side of a voxel, metres.
+
+    Returns:
+        Points (M, 3), metres, in the order of the voxels' last points.
+    """
     return np.ascontiguousarray(voxel_means(points.T, voxel_size).T)
 
 
 def voxel_means(rows: NDArray[np.floating], voxel_size: float) -> NDArray[np.float64]:
-    """Means (C, M) over the columns of ``rows`` (C, N) that fall into the same voxel.
+    """Average points, and what else is known of them, voxel by voxel.
 
-    The first three rows are x, y, z; the others are averaged along. Voxels come in the order of
-    their last columns.
+    Args:
+        rows: (C, N); the first three rows are x, y, z in metres, the others are averaged along.
+        voxel_size: side of a voxel, metres.
+
+    Returns:
+        Means (C, M) over the columns that fall into the same voxel, in the order of the voxels'
+        last columns.
     """
     count = rows.shape[1]
     if count == 0:

@@ -26,11 +26,19 @@ Placed: TypeAlias = tuple[NDArray[np.float32], NDArray[np.float64]]
 def accumulate(
     scans: Iterable[Placed], voxel_size: float, max_range: float = np.inf
 ) -> NDArray[np.float32]:
-    """Map points (N, 3) in metres of scans (points in base_link, T_map_base (4, 4)).
+    """Make the map of scans at their poses.
 
-    Points that are more than ``max_range`` metres from their base_link are left out.
-    The points are relative to nothing but the map's origin; as single precision they are exact
-    to a millimetre within 8 km of it. They do not depend on the number of cores.
+    Args:
+        scans: points (N, 3) in base_link, metres, and T_map_base (4, 4) of each.
+        voxel_size: side of a voxel, metres.
+        max_range: points further than this many metres from their base_link are left out.
+
+    Returns:
+        One mean point a voxel, (M, 3), metres in the map; single precision is exact to a
+        millimetre within 8 km of its origin. They do not depend on the number of cores.
+
+    Raises:
+        OutputError: points that are kept on disk can no longer be read.
     """
     kept = np.zeros((0, 3), dtype=np.float32)
     waiting: list[NDArray[np.float32]] = []
@@ -90,7 +98,15 @@ def _thin(parts: list[NDArray[np.float32]], voxel_size: float) -> NDArray[np.flo
 
 
 def write_ply(path: Path, points: NDArray[np.floating]) -> None:
-    """Write points (N, 3) as a binary PLY with float vertices."""
+    """Write points as a binary PLY with float vertices.
+
+    Args:
+        path: the file to write; what it held is lost.
+        points: (N, 3), metres in the map.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
     header = (
         'ply\nformat binary_little_endian 1.0\n'
         'comment frame map, metres\n'

@@ -112,7 +112,11 @@ class DiskStore:
 
 
 def make_store(settings: MapSettings) -> PointStore:
-    """The store that the settings name; raises OutputError where its folder cannot be used."""
+    """Make the store that the settings name.
+
+    Raises:
+        OutputError: its folder cannot be used.
+    """
     if settings.store is MapStore.MEMORY:
         return MemoryStore()
     return DiskStore(Path(settings.store_folder) if settings.store_folder else None)
