@@ -45,7 +45,7 @@ def components(items, groups, links=(), frontier=GROWN):
         Cluster(tuple(cores[i] for i in group), group[0], group[-1]) for group in groups
     )
     connections = tuple(Connection(start, end, 0, clusters[end].stamp, 0) for start, end in links)
-    partitions = Partitions({item.core: item for item in items}, frontier, len(items))
+    partitions = Partitions({item.core: item for item in items}, frontier)
     candidate = Candidate(clusters, connections)
     unconnected = partitions.of(candidate).unconnected(candidate)
     return [[member for cluster in part for member in cluster.members] for part in unconnected]

@@ -1,0 +1,124 @@
+"""The strategy that solves candidates: what it looks at, and what it says of them."""
+
+import numpy as np
+import pytest
+from turning_car import MS, known_state, problem_of
+from turning_car import settings as car_settings
+
+from incremental_mapper.candidates.enumeration import base_candidate, candidates
+from incremental_mapper.candidates.local_moves import neighbours
+from incremental_mapper.selection.least_time_shift import LeastTimeShift
+from incremental_mapper.selection.lowest_score import LowestScore
+from incremental_mapper.variables import pose_key
+
+WINDOW = {40 * MS: {'left'}, 62 * MS: {'gps'}, 97 * MS: {'right'}, 140 * MS: {'left'}}
+LARGE = {**WINDOW, 165 * MS: {'gps'}, 197 * MS: {'right'}, 240 * MS: {'left'}}
+SMALL_BEAM = {'max_candidates': 1, 'beam_width': 1, 'time_budget': 60.0}
+
+
+def all_candidates(problem):
+    return list(candidates(problem.elements, problem.head, problem.imu))
+
+
+def by_number(wanted):
+    """A criterion that is 0 at one candidate, and the larger the more decisions differ."""
+
+    def score(proposal):
+        found = proposal.candidate
+        own = {(cluster.first, cluster.last) for cluster in found.clusters}
+        best = {(cluster.first, cluster.last) for cluster in wanted.clusters}
+        links = {(link.start_stamp, link.end_stamp) for link in found.connections}
+        others = {(link.start_stamp, link.end_stamp) for link in wanted.connections}
+        return float(len(own ^ best) + len(links ^ others))
+
+    return LowestScore.of('distance', score)
+
+
+@pytest.mark.parametrize('number', [0, 3, 11, -1])
+def test_small_window_is_enumerated_and_the_lowest_score_wins(number):
+    problem = problem_of(WINDOW)
+    every = [item for item in all_candidates(problem) if not problem.unconnected(item)]
+    wanted = every[number]
+    choice = by_number(wanted).select(problem)
+    assert choice.winner == wanted
+    assert choice.score == 0.0 and choice.score_name == 'distance'
+    assert not choice.cut
+    assert choice.enumerated == len(choice.tried) == len(all_candidates(problem))
+    assert choice.connected == choice.solved == len(every)
+    assert choice.extra == () and not choice.consecutive
+    for item in choice.tried:
+        assert item.connected == (not problem.unconnected(item.candidate))
+        assert (item.score is None) == (item.solver_error is None) == (not item.connected)
+    assert choice.solution.graph is not None
+    key = pose_key(problem.partitions.number(wanted.clusters[-1]))
+    assert choice.solution.pose(key) is not None
+    assert {'candidates', 'solve', 'score'} <= set(choice.seconds)
+
+
+def test_large_window_is_searched_and_decisions_are_changed_until_none_is_better():
+    config = car_settings(selection=SMALL_BEAM)
+    problem = problem_of(LARGE, config=config)
+    wanted = next(LeastTimeShift().select(problem_of(LARGE)).winner for _ in range(1))
+    choice = by_number(wanted).select(problem)
+    # One decision after the other leads from wherever the beam ends to the best of all.
+    assert choice.winner == wanted and choice.score == 0.0
+    assert choice.cut
+    tried = [item.candidate for item in choice.tried]
+    assert len(set(tried)) == len(tried) == choice.enumerated
+    assert tried[0] == base_candidate(problem.elements, problem.head, problem.imu)
+    judged = {item.candidate: item.score for item in choice.tried if item.score is not None}
+    assert choice.solved == len(judged)
+    around = neighbours(choice.winner, problem.elements, problem.head, problem.imu)
+    for other in around:
+        if not problem.unconnected(other):
+            assert judged[other] >= choice.score
+    assert choice.connected == sum(item.connected for item in choice.tried)
+
+
+def test_no_time_means_no_change_of_decisions():
+    config = car_settings(selection={**SMALL_BEAM, 'time_budget': 0.001})
+    choice = by_number(all_candidates(problem_of(LARGE))[-1]).select(
+        problem_of(LARGE, config=config)
+    )
+    assert choice.winner is not None and choice.cut
+    assert choice.enumerated < 60
+
+
+def test_limit_under_load_allows_no_change_of_decisions():
+    config = car_settings(selection=SMALL_BEAM)
+    problem = problem_of(LARGE, config=config, limit=4)
+    choice = by_number(all_candidates(problem)[-1]).select(problem)
+    assert choice.solved <= 4
+    assert choice.cut
+
+
+def test_window_that_nothing_connects_has_no_winner():
+    # A fix alone, and no IMU sample.
+    problem = problem_of({40 * MS: {'gps'}})
+    bare = problem_of({40 * MS: {'gps'}}, series=problem.inputs.series.part(0, 0))
+    for strategy in (by_number(all_candidates(problem)[0]), LeastTimeShift()):
+        choice = strategy.select(bare)
+        assert choice.winner is None and choice.score is None and choice.solution is None
+        assert choice.connected == choice.solved == 0
+        assert [item.connected for item in choice.tried] == [False]
+
+
+def test_candidate_that_cannot_be_solved_is_left_out():
+    problem = problem_of(WINDOW, known_state())
+    (seen,) = [item for item in problem.inputs.prepared.values() if item.core.kind == 'gnss']
+    seen.enu[0] = np.nan
+    choice = by_number(all_candidates(problem)[0]).select(problem)
+    assert choice.winner is None and choice.solved == 0
+    assert choice.connected == sum(item.connected for item in choice.tried) > 0
+
+
+def test_least_time_shift_is_exact_with_and_without_enumeration():
+    enumerated = LeastTimeShift().select(problem_of(LARGE))
+    config = car_settings(selection={'max_candidates': 1})
+    searched = LeastTimeShift().select(problem_of(LARGE, config=config))
+    assert searched.winner == enumerated.winner
+    assert searched.score == enumerated.score == enumerated.winner.time_shift / 1e9
+    assert not searched.cut and not enumerated.cut
+    assert searched.enumerated < enumerated.enumerated
+    assert searched.solved == enumerated.solved == 0
+    assert enumerated.score_name == 'time_shift'
