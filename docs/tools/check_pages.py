@@ -375,14 +375,12 @@ def check_links(text: str, page: Path) -> list[Mistake]:
 def check_refusals(text: str, name: str) -> list[Mistake]:
     """Every refusal and every reason of a dropped measurement stands on the page of messages."""
     plain = ' '.join(re.sub(r'[`*\\]', '', text).split())
-    found = []
-    for place, fragment in refusals():
-        if ' '.join(fragment.split()) not in plain:
-            found.append(Mistake(name, 1, f'does not tell of {fragment!r} ({place})'))
-    for place, reason in drop_reasons():
-        if not re.search(rf'\b{re.escape(reason)}\b', plain):
-            found.append(Mistake(name, 1, f'does not tell of the reason {reason!r} ({place})'))
-    return found
+    # Of several places that say the same the last is told.
+    said = {' '.join(fragment.split()): place for place, fragment in refusals()}
+    reasons = {reason: place for place, reason in drop_reasons()}
+    missing = [item for item in said.items() if item[0] not in plain]
+    missing += [item for item in reasons.items() if not re.search(rf'\b{item[0]}\b', plain)]
+    return [Mistake(name, 1, f'does not tell of {what!r} ({place})') for what, place in missing]
 
 
 def refusals() -> Iterator[tuple[str, str]]:

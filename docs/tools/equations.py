@@ -59,6 +59,9 @@ def _block(match: re.Match[str]) -> str:
 
 def _mathml(formula: str, display: str) -> str:
     text = html.unescape(formula)
+    braces = re.findall(r'(?<!\\)[{}]', text)
+    if braces.count('{') != braces.count('}'):
+        raise MathError(f'{text!r}: a brace is open')
     try:
         mathml = convert(text, display=display)
     # The converter raises errors of many kinds.

@@ -34,7 +34,7 @@ def draw(runs: Path, truth: Path, out_dir: Path) -> None:
             command = [sys.executable, '-m', 'incremental_mapper.cli.main', 'plot', *words]
             subprocess.run([*command, '--theme', theme, '--out', str(file)], check=True)
             with Image.open(file) as image:
-                small = image.convert('RGB').quantize(COLOURS, Image.Quantize.MAXCOVERAGE)
+                small = image.convert('RGB').quantize(COLOURS, Image.Quantize.MAXCOVERAGE, kmeans=4)
             small.save(file, optimize=True)
 
 

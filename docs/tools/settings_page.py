@@ -21,7 +21,7 @@ with one line that says what was expected. Which settings are worth a thought, a
 when you change them, is in [Choosing and tuning](tuning.md).
 
 ```yaml
-/**:                      # this line and the next may be left out for the command line
+/**:                      # may be left out for the command line
   ros__parameters:
     lidars:
       names: [left, right]
@@ -163,19 +163,24 @@ def _default(info: FieldInfo) -> str:
 
 
 def _bounds(info: FieldInfo) -> str:
-    low = high = ''
+    parts = []
     for item in info.metadata:
         if isinstance(item, Ge):
-            low = f'from {item.ge:,}'.replace(',', ' ')
+            parts.append(f'from {_number(item.ge)}')
         elif isinstance(item, Gt):
-            low = f'above {item.gt:,}'.replace(',', ' ')
+            parts.append(f'above {_number(item.gt)}')
         elif isinstance(item, Le):
-            high = f'up to {item.le:,}'.replace(',', ' ')
+            parts.append(f'to {_number(item.le)}')
         elif isinstance(item, Lt):
-            high = f'below {item.lt:,}'.replace(',', ' ')
+            parts.append(f'below {_number(item.lt)}')
         elif isinstance(item, MinLen):
-            low = 'not empty'
-    return ' '.join(part for part in (low, high) if part)
+            parts.append('not empty')
+    return ' '.join(parts)
+
+
+def _number(bound: Any) -> str:
+    """A bound in figures, thousands apart: 1 000 000."""
+    return f'{bound:,}'.removesuffix('.0').replace(',', '\u202f')
 
 
 def _first_paragraphs(text: str | None) -> str:
