@@ -160,7 +160,13 @@ class BagWriter:
         self._writer.__exit__(*error)
 
     def write(self, sensor: str, stamp: int, record: NDArray[np.floating]) -> None:
-        """Append the raw record of a sensor."""
+        """Append a record.
+
+        Args:
+            sensor: one of those that the bag was made for.
+            stamp: nanoseconds; the message is logged at it.
+            record: what the sensor's stream in a ``Recording`` loads.
+        """
         connection = self._connections[sensor]
         message = self._builder.message(sensor, stamp, record)
         data = self._builder.store.serialize_cdr(message, connection.msgtype)
@@ -168,13 +174,13 @@ class BagWriter:
 
 
 def with_truth(recording: Recording, truth: Trajectory) -> Recording:
-    """The recording with the true poses (x, y, z, qx, qy, qz, qw) as one more stream."""
+    """Add the true poses T_world_base to a recording as one more stream, ``truth``."""
     table = Table(truth.stamps, np.hstack([truth.positions, truth.quaternions]))
     return replace(recording, streams={**recording.streams, 'truth': table})
 
 
 def bag_settings(recording: Recording) -> Tree:
-    """Settings tree that goes with the bag: topics and extrinsics of the sensors."""
+    """Make the settings that go with the bag of a recording: topics and T_base_sensor, 3x4."""
     sensors = list(recording.streams)
     topics: Tree = {sensor: {'topic': TOPICS[sensor]} for sensor in sensors}
     lidars = {sensor: topics.pop(sensor) for sensor in recording.lidars}

@@ -87,7 +87,15 @@ class KaistSource:
 
 
 def extrinsic_settings(recording: Recording, used: list[str]) -> Tree:
-    """Settings tree with the poses of the sensors ``used``, row-major 3x4."""
+    """Make the settings that a recording brings itself.
+
+    Args:
+        recording: where the poses are from.
+        used: names of the sensors that are wanted.
+
+    Returns:
+        A settings tree with T_base_sensor of each, row-major 3x4, and the names of the LiDARs.
+    """
     poses = {
         name: {'T_base_sensor': recording.extrinsics[name][:3].ravel().tolist()} for name in used
     }

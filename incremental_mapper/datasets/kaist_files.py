@@ -139,7 +139,14 @@ def is_kaist_folder(path: Path) -> bool:
 def read_recording(path: Path) -> Recording:
     """Read a KAIST folder's tables and calibration; clouds are left on the disk.
 
-    Raises InputError where it is no KAIST folder, holds no scans, or lacks a calibration.
+    Args:
+        path: a folder with ``sensor_data`` and ``calibration`` in it.
+
+    Returns:
+        The streams of the sensors that are there; lines that are unusable are counted in it.
+
+    Raises:
+        InputError: it is no KAIST folder, holds no scans, or lacks a calibration.
     """
     if not is_kaist_folder(path):
         raise InputError(
@@ -184,7 +191,11 @@ def read_recording(path: Path) -> Recording:
 
 
 def read_scan_folder(path: Path) -> Recording:
-    """Read a bare folder of ``<stamp>.bin`` files as the recording of one LiDAR, ``left``."""
+    """Read a bare folder of ``<stamp>.bin`` files as the recording of one LiDAR, ``left``.
+
+    Raises:
+        InputError: there is no such file.
+    """
     drops: Drops = Counter()
     scans = ScanFiles('left', path, _stamps_of_files('left', path, drops))
     if len(scans.stamps) == 0:
@@ -200,9 +211,20 @@ def read_table(
     drops: Drops,
     reasons: Mapping[int, str] | None = None,
 ) -> Table:
-    """Read a CSV of a stamp and at least ``columns`` numbers a line; rows come back sorted.
+    """Read a CSV of a stamp and numbers a line.
 
-    Bad lines are counted in ``drops`` as ``bad_line``, or as ``reasons[number of words]``.
+    Args:
+        path: the file; stamps are whole nanoseconds.
+        columns: numbers that a line has at least; more are left out.
+        sensor: whose lines they are, for ``drops``.
+        drops: bad lines are counted here, as ``bad_line`` or as ``reasons`` says.
+        reasons: what a bad line is counted as, by its number of words.
+
+    Returns:
+        The rows (M, columns), sorted by stamp.
+
+    Raises:
+        InputError: the file cannot be read.
     """
     stamps, values = array('q'), array('d')
     try:
@@ -226,7 +248,17 @@ def read_table(
 
 
 def read_extrinsic(path: Path) -> Vector:
-    """T_vehicle_sensor (4, 4) of a calibration file; raises InputError naming the bad value."""
+    """Read a calibration file.
+
+    Args:
+        path: a file with the lines ``R:`` (nine numbers, row-major) and ``T:`` (three, metres).
+
+    Returns:
+        T_vehicle_sensor (4, 4).
+
+    Raises:
+        InputError: the file is missing, or a value is bad; it is named.
+    """
     try:
         text = path.read_text(encoding='utf-8', errors='replace')
     except FileNotFoundError as error:

@@ -1,7 +1,6 @@
 """ROS messages to measurements, duck-typed: rclpy's messages and those of a bag reader.
 
 Every function raises MeasurementError, with a reason to count, where a message is unusable.
-``offset_ns`` is added to the header stamp.
 """
 
 from collections.abc import Callable
@@ -29,7 +28,11 @@ Value = TypeVar('Value')
 
 
 def header_stamp(message: Any) -> int:
-    """Header stamp in nanoseconds; raises MeasurementError ``no_stamp`` where it is not set."""
+    """Read the header stamp, in nanoseconds.
+
+    Raises:
+        MeasurementError: ``no_stamp``, it is not set.
+    """
     stamp = message.header.stamp
     nanoseconds = int(stamp.sec) * NANOSECONDS + int(stamp.nanosec)
     if nanoseconds <= 0:
@@ -40,7 +43,20 @@ def header_stamp(message: Any) -> int:
 def scan_from_message(
     message: Any, sensor: str, offset_ns: int = 0, min_points: int = 1
 ) -> LidarScan:
-    """A scan of a ``sensor_msgs/PointCloud2``, with the points' times where the cloud has them."""
+    """Make a scan of a ``sensor_msgs/PointCloud2``.
+
+    Args:
+        message: the cloud, x, y, z in metres in the LiDAR's frame.
+        sensor: name of the LiDAR.
+        offset_ns: nanoseconds that are added to the header stamp.
+        min_points: usable points below which it is no scan.
+
+    Returns:
+        The scan, with the points' times where the cloud has them.
+
+    Raises:
+        MeasurementError: the message is unusable; its ``reason`` says why.
+    """
 
     def make() -> LidarScan:
         stamp = header_stamp(message)
@@ -53,7 +69,11 @@ def scan_from_message(
 
 
 def describe_times(message: Any) -> str:
-    """What ``scan_from_message`` takes a cloud's time field for, in words for a log."""
+    """Say what ``scan_from_message`` takes a cloud's time field for, in words for a log.
+
+    Raises:
+        MeasurementError: the message is unusable.
+    """
 
     def describe() -> str:
         table = cloud_table(message)
@@ -63,7 +83,19 @@ def describe_times(message: Any) -> str:
 
 
 def fix_from_message(message: Any, sensor: str = 'gnss', offset_ns: int = 0) -> GnssFix:
-    """A fix of a ``sensor_msgs/NavSatFix``."""
+    """Make a fix of a ``sensor_msgs/NavSatFix``.
+
+    Args:
+        message: position in degrees and metres, covariance in m^2, east, north, up.
+        sensor: name of the receiver.
+        offset_ns: nanoseconds that are added to the header stamp.
+
+    Returns:
+        The fix, without covariance where its type is unknown.
+
+    Raises:
+        MeasurementError: the message is unusable or holds no fix; its ``reason`` says why.
+    """
 
     def make() -> GnssFix:
         stamp = header_stamp(message)
@@ -87,7 +119,20 @@ def fix_from_message(message: Any, sensor: str = 'gnss', offset_ns: int = 0) -> 
 
 
 def imu_from_message(message: Any, sensor: str = 'imu', offset_ns: int = 0) -> ImuSample:
-    """An inertial sample of a ``sensor_msgs/Imu``; a covariance of -1 says "not measured"."""
+    """Make an inertial sample of a ``sensor_msgs/Imu``.
+
+    Args:
+        message: rates in rad/s, accelerations in m/s^2 with gravity in them, and perhaps an
+            orientation. A covariance that begins with -1 says that a part was not measured.
+        sensor: name of the IMU.
+        offset_ns: nanoseconds that are added to the header stamp.
+
+    Returns:
+        The sample, in the IMU's frame.
+
+    Raises:
+        MeasurementError: the message is unusable or lacks a part; its ``reason`` says why.
+    """
 
     def make() -> ImuSample:
         stamp = header_stamp(message)

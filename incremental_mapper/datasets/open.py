@@ -21,9 +21,20 @@ _EXPECTED = (
 
 
 def open_source(path: Path, tree: Mapping[str, Any] | None = None) -> Source:
-    """Open a KAIST folder, a folder of scans or a bag; ``tree`` holds the user's settings.
+    """Open an input of any kind.
 
-    Raises InputError where the path is missing or is none of these.
+    Args:
+        path: a KAIST folder, a folder of ``<stamp>.bin`` scans, a rosbag2 folder or file, or a
+            ROS 1 bag.
+        tree: the user's settings, as nested dictionaries; topics, names of LiDARs and time offsets
+            in it count. None leaves all that to the input.
+
+    Returns:
+        The input, opened and checked, with nothing read yet but its tables and headers.
+
+    Raises:
+        InputError: the path is missing, is none of these, or cannot be used.
+        ConfigError: a setting is wrong.
     """
     if not path.exists():
         raise InputError(f'{path}: does not exist; expected {_EXPECTED}')

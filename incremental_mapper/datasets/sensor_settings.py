@@ -8,12 +8,12 @@ from incremental_mapper.measurements import NANOSECONDS
 
 
 def listed_lidars(tree: Mapping[str, Any]) -> list[str] | None:
-    """The LiDARs that ``lidars.names`` lists, or None where the settings leave the choice open."""
+    """Read which LiDARs ``lidars.names`` lists; None where the settings leave the choice open."""
     lidars = tree.get('lidars')
     names = lidars.get('names') if isinstance(lidars, Mapping) else None
     return [str(name) for name in names] if isinstance(names, list) else None
 
 
 def offset_nanoseconds(sensor: Sensor) -> int:
-    """What is added to every stamp of a sensor."""
+    """Tell what is added to every stamp of a sensor, in nanoseconds."""
     return round(sensor.time_offset * NANOSECONDS)

@@ -13,9 +13,14 @@ from incremental_mapper.trajectory import Trajectory
 class SourceInfo:
     """What is known of an input before it is read.
 
-    ``settings`` is a partial settings tree (extrinsics, topics) that the input brings itself; the
-    user's settings are laid over it. ``count`` is how many measurements ``measurements`` will
-    try to make, for progress bars; ``counts`` the same by sensor. ``duration`` is in seconds.
+    Attributes:
+        path: where it is.
+        kind: what it is, in words.
+        counts: how many measurements ``measurements`` will try to make, by sensor.
+        duration: seconds from its first record to its last.
+        settings: a partial settings tree (extrinsics, topics) that the input brings itself; the
+            user's settings are laid over it.
+        notes: remarks on how it was understood.
     """
 
     path: Path
@@ -32,7 +37,10 @@ class SourceInfo:
 
 
 class Source(Protocol):
-    """A KAIST folder or a bag, opened and checked."""
+    """An input, opened and checked.
+
+    Whatever has these members can be mapped; ``open_source`` makes one of a folder or a bag.
+    """
 
     @property
     def info(self) -> SourceInfo:
@@ -40,10 +48,18 @@ class Source(Protocol):
 
     @property
     def drops(self) -> Drops:
-        """Measurements that could not be used so far, by sensor and reason."""
+        """Records that could not be made measurements so far, by sensor and reason."""
 
     def measurements(self) -> Iterator[Measurement]:
-        """All usable measurements in the order of the recording; reads lazily."""
+        """Read all usable measurements, one at a time, in the order of the recording.
+
+        Raises:
+            InputError: the input is damaged so that nothing can be read.
+        """
 
     def truth(self) -> Trajectory | None:
-        """The true trajectory T_world_base, if the input holds one."""
+        """The true trajectory T_world_base, or None where the input holds none.
+
+        Raises:
+            InputError: there is one, but it cannot be read.
+        """

@@ -27,8 +27,17 @@ class TopicChoice:
 def choose_topics(path: Path, topics: Sequence[Topic], config: Config) -> TopicChoice:
     """Find the LiDARs', the IMU's and the receiver's topics.
 
-    Raises InputError, listing what the bag has, where a named topic is missing or of another
-    type, or where there is no cloud at all.
+    Args:
+        path: the bag, for messages.
+        topics: what the bag has.
+        config: settings, which may name topics and LiDARs.
+
+    Returns:
+        The topics; of several that could be meant, the one with the most messages.
+
+    Raises:
+        InputError: a named topic is missing or of another type, two LiDARs share one, or there is
+            no cloud at all; the message lists what the bag has.
     """
     notes: list[str] = []
     lidars = _lidars(path, topics, config.lidars, notes)

@@ -14,9 +14,16 @@ TRUTH_FILES = ('ground_truth.tum', 'global_pose.csv')
 
 
 def read_truth(path: Path) -> Trajectory:
-    """Read the trajectory T_world_base of a file; commas tell KAIST's CSV from TUM.
+    """Read a true trajectory.
 
-    Raises InputError where the file is missing or holds no pose.
+    Args:
+        path: TUM text, or KAIST's ``global_pose.csv``; commas tell them apart.
+
+    Returns:
+        T_world_base at the file's stamps.
+
+    Raises:
+        InputError: the file is missing or holds no pose.
     """
     if not path.is_file():
         raise InputError(f'{path}: is no file; expected a TUM trajectory or a global_pose.csv')
@@ -29,7 +36,18 @@ def read_truth(path: Path) -> Trajectory:
 
 
 def read_global_pose(path: Path) -> Trajectory:
-    """Read lines of a stamp and a row-major 3x4 matrix; lines that are no pose are skipped."""
+    """Read KAIST's ``global_pose.csv``.
+
+    Args:
+        path: lines of a stamp in nanoseconds and a row-major 3x4 matrix T_world_base; lines that
+            are no pose are skipped.
+
+    Returns:
+        The poses, sorted by stamp.
+
+    Raises:
+        InputError: the file cannot be read or holds no pose.
+    """
     unreadable: Drops = Counter()
     table = read_table(path, 12, 'truth', unreadable)
     poses = table.values.reshape(-1, 3, 4)
@@ -47,7 +65,11 @@ def read_global_pose(path: Path) -> Trajectory:
 
 
 def find_truth(folders: list[Path]) -> Trajectory | None:
-    """The first trajectory file in the folders, read; None where there is none."""
+    """Read the first trajectory file in some folders, or return None where there is none.
+
+    Raises:
+        InputError: it holds no pose.
+    """
     for folder in folders:
         for name in TRUTH_FILES:
             if (folder / name).is_file():

@@ -49,11 +49,17 @@ MOTION, INERTIAL, GNSS, LIDAR = 3, 4, 5, 6
 
 
 def simulate(out_dir: Path, options: SimulationOptions, progress: Progress | None = None) -> None:
-    """Simulate a drive and write it to ``out_dir``.
+    """Simulate a drive and write it as a KAIST folder.
 
-    ``progress`` is called with the number of LiDAR scans written since the last call. Raises
-    InputError, ConfigError or OutputError. An existing simulated drive is replaced where
-    ``options.overwrite`` says so; other files in the folder stay.
+    Args:
+        out_dir: the folder. A simulated drive in it is replaced where ``options.overwrite`` says
+            so; other files in it stay.
+        options: scene, motion, length, seed.
+        progress: called with the number of LiDAR scans written since the last call.
+
+    Raises:
+        InputError: the file of stamps cannot be used, or embreex is not installed.
+        OutputError: the folder cannot be written, or holds something else.
     """
     load_embree()
     core = core_stamps(options)
