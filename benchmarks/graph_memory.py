@@ -25,8 +25,8 @@ from incremental_mapper.graph.factors import (
     gnss_factor,
     imu_factor,
 )
-from incremental_mapper.graph.values import bias_key, pose_key, velocity_key
 from incremental_mapper.smoothing.graph_state import PlacedCluster, PlacedScan
+from incremental_mapper.variables import bias_key, pose_key, velocity_key
 
 MANY = 5000
 SAMPLES = 6

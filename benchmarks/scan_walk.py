@@ -2,18 +2,19 @@
 
     python benchmarks/scan_walk.py BAG [--window N] [--steps]
 
-Maps the bag until window N is about to close, then follows everything that runs while the next
-message of a LiDAR is read, its window is closed, and the map is saved. A step is a function's
-first call, in the order of first calls; a room is a folder directly below the package, and the
-modules beside the folders (measurements, geometry, settings) are the ground on which all stand.
-Prints the number of files and how often one step lies in another room than the one before.
-Works on any state of the code that has the command line (PYTHONPATH=OTHER_CHECKOUT).
+Maps the bag until window N is closed, then follows everything that runs while the next message
+of a LiDAR is read, its window is closed, and the map is saved. A step is the first call of a named
+function; a room is a folder directly below the package, and the modules beside the folders
+(measurements, geometry, settings and so on) are the ground on which all stand. Prints the files in
+the order of their first steps, and how often the room changes from one file to the next and from
+one function to the next. Works on any state of the code (PYTHONPATH=OTHER_CHECKOUT).
 """
 
 import argparse
 import importlib
 import sys
 import tempfile
+from collections.abc import Iterable
 from itertools import groupby
 from pathlib import Path
 from types import CodeType, FrameType, ModuleType
@@ -51,8 +52,8 @@ class Walk:
             return
         self._seen.add(code)
         path = Path(code.co_filename)
-        # Bodies of classes and modules run on import, which is no step of the scan.
-        if path.is_relative_to(ROOT) and code.co_name != '<module>':
+        # What has no name, such as a comprehension, is no step.
+        if path.is_relative_to(ROOT) and not code.co_name.startswith('<'):
             self.steps.append((str(path.relative_to(ROOT)), code.co_qualname))
 
 
@@ -61,35 +62,44 @@ def room(file: str) -> str | None:
     return file.split('/')[0] if '/' in file else None
 
 
+def points_of(result: Any, config: Any) -> Any:
+    """The map's points, by whichever way this state of the code has."""
+    if hasattr(result, 'points'):
+        return result.points(config.map)
+    return find('evaluation.run:map_points')(result, config)
+
+
 def follow(bag: Path, window: int, out: Path) -> Walk:
     """Map ``bag`` up to a window, then trace one scan from its message to the saved files."""
     open_source = find('datasets.open:open_source')
     read_yaml = find('config:read_yaml')
     make_config, merge = find('config:make_config'), find('config:merge')
-    mapper_class = find('mapping.mapper:Mapper', 'mapper.mapper:Mapper')
-    write = find('results.run_folder:write_result', 'mapper.output:write_result')
-    points_of = find('results.offline_run:map_points', 'evaluation.run:map_points')
+    mapper_class = find('mapper.mapper:Mapper', 'mapping.mapper:Mapper')
+    write = find('mapper.output:write_result', 'results.run_folder:write_result')
     # In one process, so that the whole walk is seen.
-    single = {'odometry': {'processes': False}}
-    tree = merge(read_yaml(CONFIG), single)
+    tree = merge(read_yaml(CONFIG), {'odometry': {'processes': False}})
     source = open_source(bag, tree)
     config = make_config(merge(source.info.settings, tree), 'settings')
     mapper = mapper_class(config, list(source.info.counts))
-    measurements = source.measurements()
-    # Each path is walked once before, so that no kernel is compiled while it is followed.
+    measurements = iter(source.measurements())
     closed = 0
-    for measurement in measurements:
-        closed += len(mapper.push(measurement))
-        if closed >= window:
-            break
+    while closed < window:
+        closed += len(mapper.push(next(measurements)))
+    # All is done once before, so that no kernel is compiled while it is followed.
     result = mapper.result()
     write(out, result, points_of(result, config), {})
     walk = Walk()
-    sys.setprofile(walk)
     try:
-        for measurement in measurements:
-            if mapper.push(measurement):
-                break
+        windows, met_scan = [], False
+        while not (met_scan and windows):
+            if not met_scan:
+                walk = Walk()  # the walk begins with the message of a scan
+            sys.setprofile(walk)
+            measurement = next(measurements)
+            met_scan = met_scan or hasattr(measurement, 'points')
+            if not met_scan:
+                sys.setprofile(None)
+            windows = mapper.push(measurement)
         result = mapper.result()
         write(out, result, points_of(result, config), {})
     finally:
@@ -98,25 +108,33 @@ def follow(bag: Path, window: int, out: Path) -> Walk:
     return walk
 
 
+def changes(rooms: Iterable[str | None]) -> int:
+    """How often one of the rooms differs from the one before."""
+    return sum(1 for _ in groupby(rooms)) - 1
+
+
 def main() -> int:
     """Print the walk and its two numbers."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument('bag', type=Path)
-    parser.add_argument('--window', type=int, default=40)
+    parser.add_argument('--window', type=int, default=60)
     parser.add_argument('--steps', action='store_true', help='list every step')
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         walk = follow(args.bag, args.window, Path(folder))
     inside = [(room(file), file, name) for file, name in walk.steps if room(file)]
-    visits = [(name, list(steps)) for name, steps in groupby(inside, key=lambda step: step[0])]
-    for name, steps in visits:
-        files = dict.fromkeys(file.split('/', 1)[1] for _, file, _ in steps)
-        print(f'{name:<12} {", ".join(files)}')
-        if args.steps:
+    if args.steps:
+        for name, steps in groupby(inside, key=lambda step: step[0]):
+            print(name)
             print('\n'.join(f'    {file}: {function}' for _, file, function in steps))
-    files_passed = len({file for file, _ in walk.steps})
-    rooms = len({name for name, _ in visits})
-    print(f'{files_passed} files, {len(visits) - 1} changes of room, {rooms} rooms')
+    files = dict.fromkeys(file for _, file, _ in inside)
+    for name, some in groupby(files, key=room):
+        print(f'{name or "":<14} {", ".join(file.split("/", 1)[1] for file in some)}')
+    print(
+        f'{len(files)} files in {len(set(map(room, files)))} rooms; changes of room: '
+        f'{changes(map(room, files))} from file to file, '
+        f'{changes(name for name, _, _ in inside)} from function to function'
+    )
     return 0
 
 

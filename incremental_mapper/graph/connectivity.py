@@ -64,14 +64,13 @@ class Partition:
 
 
 class Partitions:
-    """The partitions of a window with so many ``elements``."""
+    """The partitions of a window."""
 
-    def __init__(
-        self, prepared: Mapping[CoreMeasurement, Prepared], frontier: Frontier, elements: int
-    ) -> None:
+    def __init__(self, prepared: Mapping[CoreMeasurement, Prepared], frontier: Frontier) -> None:
         self._prepared = prepared
-        self._frontier = frontier
-        self._elements = elements
+        self._is_first = frontier.newest is None
+        self._homes = frontier.homes()
+        self._elements = len({core.stamp for core in prepared})
         self._made: dict[int, Partition] = {}
 
     def number(self, cluster: Cluster) -> int:
@@ -87,13 +86,13 @@ class Partitions:
 
     def _make(self, clusters: tuple[Cluster, ...]) -> Partition:
         numbers = tuple(self.number(cluster) for cluster in clusters)
-        homes = {(name, stamp): id_ for name, (id_, stamp) in self._frontier.chains.items()}
+        homes = dict(self._homes)
         known = set(homes.values())
         for cluster, own in zip(clusters, numbers, strict=True):
             for core in cluster.members:
                 homes[core.sensor, core.stamp] = own
         sets = DisjointSet([GRAPH, *numbers])
-        if self._frontier.newest is None and numbers:
+        if self._is_first and numbers:
             sets.merge(GRAPH, numbers[0])
         for cluster, own in zip(clusters, numbers, strict=True):
             for core in cluster.members:

@@ -35,8 +35,8 @@ from incremental_mapper.graph.factors import (
 )
 from incremental_mapper.graph.frontier import Frontier, chain_start
 from incremental_mapper.graph.motion_compensation import MotionCompensation
-from incremental_mapper.graph.values import bias_key, pose_key, velocity_key
 from incremental_mapper.measurements import NANOSECONDS
+from incremental_mapper.variables import bias_key, pose_key, velocity_key
 
 UNSEEN_ACCELERATION = 2.0
 """m/s^2 by which a car's acceleration may differ from what the nearest IMU sample says."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from incremental_mapper.config import GraphSettings
-from incremental_mapper.graph.values import bias_key, pose_key, velocity_key
+from incremental_mapper.variables import bias_key, pose_key, velocity_key
 
 
 class FactorKind(StrEnum):

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from incremental_mapper.graph.factors import FactorKind
-from incremental_mapper.graph.values import bias_key, pose_key, velocity_key
+from incremental_mapper.variables import bias_key, pose_key, velocity_key
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,6 +24,10 @@ class Frontier:
     inertial_stamp: int = 0
     newest: int | None = None
     newest_stamp: int = 0
+
+    def homes(self) -> dict[tuple[str, int], int]:
+        """Cluster of each LiDAR's last scan, by sensor and stamp (ns)."""
+        return {(name, stamp): id_ for name, (id_, stamp) in self.chains.items()}
 
     def keys(self) -> set[int]:
         """Every variable that may still be touched; some may not exist."""

@@ -8,7 +8,7 @@ from incremental_mapper.candidates.model import HEAD, Candidate
 from incremental_mapper.frontend.dead_reckoning import State, normalise
 from incremental_mapper.graph.connectivity import Partitions
 from incremental_mapper.graph.frontier import Frontier
-from incremental_mapper.graph.values import bias_key, insert_bias, pose_key, velocity_key
+from incremental_mapper.variables import bias_key, insert_bias, pose_key, velocity_key
 
 
 class InitialGuess:

@@ -1,7 +1,13 @@
 """Counting the base graph of the same measurements, without building it (paper, Base)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+from incremental_mapper.candidates.model import CoreKind
+from incremental_mapper.candidates.partitions import group_elements
+from incremental_mapper.candidates.spans import ImuStamps
+from incremental_mapper.frontend.front_end import Prepared
+from incremental_mapper.frontend.lidar_odometry import PreparedScan
 from incremental_mapper.graph.factors import FactorKind
 from incremental_mapper.graph.frontier import chain_start
 
@@ -21,6 +27,24 @@ class BaseCount:
     factors: dict[str, int] = field(default_factory=dict)
     last: int | None = None
     _last_inertial: int | None = None
+
+    def add_window(self, prepared: Sequence[Prepared], imu: ImuStamps) -> None:
+        """Count a window's measurements, each of them once.
+
+        Args:
+            prepared: Core measurements that no window before had.
+            imu: The IMU samples that no span has used yet.
+        """
+        known = {item.core: item for item in prepared}
+        for element in group_elements(known):
+            stamp, before = element[0].stamp, self.last
+            joined = before is not None and imu.first_sample(before, stamp) is not None
+            items = [known[core] for core in element]
+            odometry = sum(
+                isinstance(item, PreparedScan) and item.previous is not None for item in items
+            )
+            gnss = sum(core.kind is CoreKind.GNSS for core in element)
+            self.add_element(stamp, odometry, gnss, joined)
 
     def add_element(self, stamp: int, odometry: int, gnss: int, connected: bool) -> None:
         """One more element, with its factors and whether a span joins it to the one before."""

@@ -12,7 +12,6 @@ from incremental_mapper.frontend.front_end import PreparedFix
 from incremental_mapper.frontend.lidar_odometry import PreparedScan
 from incremental_mapper.graph.factors import Factor, FactorKind
 from incremental_mapper.graph.frontier import Frontier
-from incremental_mapper.graph.values import bias_key, copy_value, pose_key, velocity_key
 from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.selection.choice import Choice
 from incremental_mapper.selection.window_problem import WindowProblem
@@ -24,6 +23,7 @@ from incremental_mapper.smoothing.graph_state import (
     PlacedScan,
 )
 from incremental_mapper.smoothing.smoother import commit_solution, smoother_update
+from incremental_mapper.variables import bias_key, copy_value, pose_key, velocity_key
 
 
 @dataclass(frozen=True, slots=True, eq=False)

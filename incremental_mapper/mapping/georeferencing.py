@@ -19,11 +19,11 @@ from incremental_mapper.graph.factors import (
     pose_prior,
     velocity_prior,
 )
-from incremental_mapper.graph.values import copy_value, kind_of
 from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.smoothing.batch import make_graph, optimize
 from incremental_mapper.smoothing.graph_state import GraphState
 from incremental_mapper.smoothing.smoother import marginal_prior_of
+from incremental_mapper.variables import copy_value, kind_of
 
 MOST_FIXES = 40
 """Newest fixes that are looked at for a track; a car may stand for long before it moves."""

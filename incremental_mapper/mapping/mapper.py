@@ -2,27 +2,24 @@
 
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from incremental_mapper.blas import single_threaded_blas
-from incremental_mapper.candidates.partitions import group_elements
-from incremental_mapper.candidates.spans import ImuStamps
 from incremental_mapper.compiled import waiting
 from incremental_mapper.config import Config
 from incremental_mapper.frontend.front_end import FrontEnd, Preparation, Prepared
 from incremental_mapper.frontend.imu_preintegration import EMPTY_SERIES, preintegration_parameters
-from incremental_mapper.graph.values import pose_key
 from incremental_mapper.map.store import make_store
 from incremental_mapper.mapping.base_count import BaseCount
 from incremental_mapper.mapping.commit import NOTHING, Committed, commit
 from incremental_mapper.mapping.georeferencing import georeference
 from incremental_mapper.mapping.load_shedding import NO_SHEDDING, LoadShedding
 from incremental_mapper.mapping.result import MapResult, NewestState, WindowResult
-from incremental_mapper.mapping.statistics import Totals, run_stats, window_row
+from incremental_mapper.mapping.statistics import MapStatistics, Totals, map_statistics, window_row
 from incremental_mapper.mapping.window_buffer import Window, WindowBuffer, joined
 from incremental_mapper.measurements import NANOSECONDS, ImuSample, Measurement
 from incremental_mapper.selection.bridging import bridged
@@ -33,6 +30,7 @@ from incremental_mapper.smoothing import linear_system
 from incremental_mapper.smoothing.batch import make_graph, optimize
 from incremental_mapper.smoothing.graph_state import GraphState
 from incremental_mapper.trajectory import from_matrices
+from incremental_mapper.variables import pose_key
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,12 +64,11 @@ class Mapper:
             linear_system.warm_up()
             self._strategy.warm_up()
         self._parameters = preintegration_parameters(config.preintegration, config.imu.matrix())
-        self._imu_gap = round(config.preintegration.max_gap * NANOSECONDS)
         self._series = EMPTY_SERIES
         self._orientation: NDArray[np.float64] | None = None
         self._carried: list[Prepared] = []
         self._state = GraphState(store=store)
-        self._base = BaseCount(self._imu_gap)
+        self._base = BaseCount(round(config.preintegration.max_gap * NANOSECONDS))
         self._totals = Totals()
         self._rows: list[dict[str, Any]] = []
 
@@ -142,7 +139,7 @@ class Mapper:
             scans=tuple(self._state.scans),
             fixes=self._fixes(),
             rows=tuple(self._rows),
-            stats=self.stats(),
+            statistics=self.statistics,
         )
 
     def newest(self) -> NewestState | None:
@@ -158,10 +155,10 @@ class Mapper:
             velocity=self._state.velocity(cluster) if inertial else self._state.last_velocity,
         )
 
-    def stats(self) -> dict[str, Any]:
-        """The keys of stats.json so far."""
-        datum = self._front_end.datum
-        stats = run_stats(
+    @property
+    def statistics(self) -> MapStatistics:
+        """The record of all windows so far; its cost does not grow with the drive."""
+        return map_statistics(
             self.config,
             self._state,
             self._base,
@@ -170,9 +167,12 @@ class Mapper:
             notes=self._front_end.notes,
             late=self._buffer.late,
             unused=[item.core for item in self._carried],
+            datum=self._front_end.datum,
         )
-        stats['datum'] = None if datum is None else list(astuple(datum))
-        return stats
+
+    def stats(self) -> dict[str, Any]:
+        """``statistics`` as the keys of ``stats.json``."""
+        return self.statistics.to_tree()
 
     def _fixes(self) -> NDArray[np.float64]:
         offset = self._state.enu_offset
@@ -229,7 +229,6 @@ class Mapper:
         items = sorted([*self._carried, *prepared], key=lambda item: item.core)
         if not items:
             return self._close(frame, items, None)
-        self._count_base(prepared)
         started = time.perf_counter()
         problem = pose_problem(
             items,
@@ -242,6 +241,7 @@ class Mapper:
         )
         frame.seconds['candidates'] = time.perf_counter() - started
         choice = self._strategy.select(problem)
+        self._base.add_window(prepared, problem.imu)
         if choice.winner is None:
             waited = (items[-1].core.stamp - items[0].core.stamp) / NANOSECONDS
             if not force and waited < self.config.window.max_carry:
@@ -261,18 +261,6 @@ class Mapper:
         self._series = self._series.since(min(frontier.head_stamp, frontier.newest_stamp))
         frame.seconds['append'] = time.perf_counter() - started
         return self._close(frame, items, choice, committed)
-
-    def _count_base(self, prepared: Sequence[Prepared]) -> None:
-        imu = ImuStamps(self._series.stamps, self._imu_gap)
-        known = {item.core: item for item in prepared}
-        for part in group_elements(known):
-            stamp = part[0].stamp
-            before = self._base.last
-            joined = before is not None and imu.first_sample(before, stamp) is not None
-            links = [known[core] for core in part]
-            odometry = sum(getattr(item, 'previous', None) is not None for item in links)
-            gnss = sum(item.core.kind == 'gnss' for item in links)
-            self._base.add_element(stamp, odometry, gnss, joined)
 
     def _close(
         self,

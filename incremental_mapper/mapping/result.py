@@ -1,7 +1,7 @@
 """What a window and a run give back."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import gtsam
@@ -9,11 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from incremental_mapper.candidates.model import Candidate
+from incremental_mapper.config import MapSettings
 from incremental_mapper.graph.factors import Factor
-from incremental_mapper.graph.values import pose_key
+from incremental_mapper.map.cloud import accumulate
+from incremental_mapper.mapping.statistics import MapStatistics
 from incremental_mapper.selection.choice import Tried
 from incremental_mapper.smoothing.graph_state import PlacedCluster, PlacedScan
 from incremental_mapper.trajectory import Trajectory
+from incremental_mapper.variables import pose_key
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,7 +56,15 @@ class NewestState:
 class MapResult:
     """A finished run.
 
-    ``fixes`` (K, 3) are the used antenna positions in the map; ``stats`` the keys of stats.json.
+    Attributes:
+        clusters: All clusters of G(t), each at the place of its number.
+        factors: All its factors.
+        values: Newest estimate of all its variables.
+        trajectory: T_map_base at the cluster stamps.
+        scans: The scans of the map with the clusters that hold them.
+        fixes: Antenna positions (K, 3) of the used fixes, metres in the map.
+        rows: The rows of ``windows.csv``.
+        statistics: What the mapper counted.
     """
 
     clusters: tuple[PlacedCluster, ...]
@@ -63,10 +74,26 @@ class MapResult:
     scans: tuple[PlacedScan, ...]
     fixes: NDArray[np.float64]
     rows: tuple[dict[str, Any], ...]
-    stats: dict[str, Any] = field(default_factory=dict)
+    statistics: MapStatistics
 
     def placed_scans(self) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float64]]]:
         """Points (N, 3) in base_link and T_map_base (4, 4) of every scan."""
         for scan in self.scans:
             pose = self.values.atPose3(pose_key(scan.cluster)).compose(scan.T_cluster_scan)
             yield scan.points, pose.matrix()
+
+    @property
+    def stats(self) -> dict[str, Any]:
+        """``statistics`` as the keys of ``stats.json``."""
+        return self.statistics.to_tree()
+
+    def points(self, settings: MapSettings) -> NDArray[np.float32]:
+        """The map, thinned to one mean point a voxel.
+
+        Args:
+            settings: Voxel size and range.
+
+        Returns:
+            Points (N, 3) in the map, metres.
+        """
+        return accumulate(self.placed_scans(), settings.voxel_size, settings.max_range)

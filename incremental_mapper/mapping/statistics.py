@@ -3,11 +3,12 @@
 import resource
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field, fields
 from typing import Any
 
 from incremental_mapper.candidates.model import CoreMeasurement
-from incremental_mapper.config import Config, to_tree
+from incremental_mapper.config import Config, Tree, to_tree
+from incremental_mapper.frontend.gnss import Datum
 from incremental_mapper.graph.factors import FactorKind
 from incremental_mapper.mapping.base_count import BaseCount
 from incremental_mapper.measurements import NANOSECONDS, Drops
@@ -99,7 +100,64 @@ def window_row(
     return row
 
 
-def run_stats(
+@dataclass(frozen=True, slots=True)
+class MapStatistics:
+    """What the mapper counted: the first part of ``stats.json``, field by field a key.
+
+    Counts of vertices and factors stand beside those of the base graph of the same measurements;
+    compressions are 100 · (1 − count / base). ``score_names`` is the key ``selection.score``.
+    ``verification`` is left out where nothing was verified.
+    """
+
+    strategy: str
+    windows: int
+    clusters: int
+    vertices: int
+    factors: int
+    vertices_by_kind: dict[str, int]
+    factors_by_kind: dict[str, int]
+    base_clusters: int
+    base_vertices: int
+    base_factors: int
+    base_factors_by_kind: dict[str, int]
+    compression_vertices_percent: float
+    compression_factors_percent: float
+    compression_clusters_percent: float
+    total_time_shift_s: float
+    solver_error: float
+    candidates_enumerated: int
+    candidates_connected: int
+    candidates_solved: int
+    components: int
+    carried_windows: int
+    cut_windows: int
+    merged_windows: int
+    bridges: int
+    solver_failures: int
+    weak_priors: int
+    georeferenced: bool
+    score_names: dict[str, int]
+    received: dict[str, int]
+    late_but_used: int
+    unused_measurements: int
+    dropped: dict[str, dict[str, int]]
+    notes: dict[str, int]
+    drive_s: float
+    seconds_by_stage: dict[str, float]
+    settings: Tree
+    verification: dict[str, Any] | None
+    datum: list[float] | None
+
+    def to_tree(self) -> dict[str, Any]:
+        """The keys of ``stats.json`` in their order, as plain values."""
+        names = {'score_names': 'selection.score'}
+        tree = {names.get(item.name, item.name): getattr(self, item.name) for item in fields(self)}
+        if self.verification is None:
+            del tree['verification']
+        return tree
+
+
+def map_statistics(
     config: Config,
     state: GraphState,
     base: BaseCount,
@@ -108,60 +166,68 @@ def run_stats(
     notes: Counter[str],
     late: int,
     unused: Sequence[CoreMeasurement],
-) -> dict[str, Any]:
-    """The keys of stats.json that the mapper knows; the command adds its own."""
+    datum: Datum | None,
+) -> MapStatistics:
+    """The record of all windows so far.
+
+    Args:
+        config: All settings.
+        state: G(t).
+        base: Counts of the base graph.
+        totals: Sums over the windows.
+        drops: What was not used, by sensor and reason.
+        notes: What was used, but not in full.
+        late: Core measurements that moved to a later window.
+        unused: Core measurements that wait for something that connects them.
+        datum: Origin of ENU, if there is one.
+    """
     # A velocity never comes without a bias.
-    vertices = len(state.clusters) + 2 * len(state.inertial)
-    factor_kinds = state.factor_counts
-    factors = len(state.factors)
+    clusters, inertial = len(state.clusters), len(state.inertial)
+    vertices, factors, kinds = clusters + 2 * inertial, len(state.factors), state.factor_counts
     drive = 0.0
     if totals.first_stamp is not None:
         drive = (totals.last_stamp - totals.first_stamp) / NANOSECONDS
-    stats: dict[str, Any] = {
-        'strategy': config.selection.strategy,
-        'windows': totals.windows,
-        'clusters': len(state.clusters),
-        'vertices': vertices,
-        'factors': factors,
-        'vertices_by_kind': {
-            'pose': len(state.clusters),
-            'velocity': len(state.inertial),
-            'bias': len(state.inertial),
-        },
-        'factors_by_kind': dict(sorted(factor_kinds.items())),
-        'base_clusters': base.clusters,
-        'base_vertices': base.vertices,
-        'base_factors': base.total_factors,
-        'base_factors_by_kind': {str(kind): count for kind, count in base.factors.items()},
-        'compression_vertices_percent': _percent(vertices, base.vertices),
-        'compression_factors_percent': _percent(factors, base.total_factors),
-        'compression_clusters_percent': _percent(len(state.clusters), base.clusters),
-        'total_time_shift_s': totals.time_shift / NANOSECONDS,
-        'solver_error': totals.solver_error,
-        'candidates_enumerated': totals.enumerated,
-        'candidates_connected': totals.connected,
-        'candidates_solved': totals.solved,
-        'components': state.components.n_subsets,
-        'carried_windows': totals.carried_windows,
-        'cut_windows': totals.cut_windows,
-        'merged_windows': totals.merged_windows,
-        'bridges': totals.bridges,
-        'solver_failures': totals.solver_failures,
-        'weak_priors': factor_kinds[str(FactorKind.PRIOR_POSE)] - 1 if state.factors else 0,
-        'georeferenced': state.georeferenced,
-        'selection.score': dict(totals.scores),
-        'received': dict(totals.received),
-        'late_but_used': late,
-        'unused_measurements': len(unused),
-        'dropped': _nested(drops),
-        'notes': dict(notes),
-        'drive_s': drive,
-        'seconds_by_stage': {stage: round(totals.seconds[stage], 4) for stage in STAGES},
-        'settings': to_tree(config),
-    }
-    if totals.verifications:
-        stats['verification'] = verification_summary(totals.verifications)
-    return stats
+    verified = totals.verifications
+    return MapStatistics(
+        strategy=config.selection.strategy,
+        windows=totals.windows,
+        clusters=clusters,
+        vertices=vertices,
+        factors=factors,
+        vertices_by_kind={'pose': clusters, 'velocity': inertial, 'bias': inertial},
+        factors_by_kind=dict(sorted(kinds.items())),
+        base_clusters=base.clusters,
+        base_vertices=base.vertices,
+        base_factors=base.total_factors,
+        base_factors_by_kind={str(kind): count for kind, count in base.factors.items()},
+        compression_vertices_percent=_percent(vertices, base.vertices),
+        compression_factors_percent=_percent(factors, base.total_factors),
+        compression_clusters_percent=_percent(clusters, base.clusters),
+        total_time_shift_s=totals.time_shift / NANOSECONDS,
+        solver_error=totals.solver_error,
+        candidates_enumerated=totals.enumerated,
+        candidates_connected=totals.connected,
+        candidates_solved=totals.solved,
+        components=state.components.n_subsets,
+        carried_windows=totals.carried_windows,
+        cut_windows=totals.cut_windows,
+        merged_windows=totals.merged_windows,
+        bridges=totals.bridges,
+        solver_failures=totals.solver_failures,
+        weak_priors=kinds[str(FactorKind.PRIOR_POSE)] - 1 if state.factors else 0,
+        georeferenced=state.georeferenced,
+        score_names=dict(totals.scores),
+        received=dict(totals.received),
+        late_but_used=late,
+        unused_measurements=len(unused),
+        dropped=_nested(drops),
+        notes=dict(notes),
+        drive_s=drive,
+        seconds_by_stage={stage: round(totals.seconds[stage], 4) for stage in STAGES},
+        settings=to_tree(config),
+        verification=verification_summary(verified) if verified else None,
+        datum=None if datum is None else list(astuple(datum)),
+    )
 
 
 def peak_rss_mb() -> float:

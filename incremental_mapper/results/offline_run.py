@@ -19,7 +19,6 @@ from incremental_mapper.config import Config, Tree, make_config, merge, read_yam
 from incremental_mapper.datasets.open import open_source, read_truth
 from incremental_mapper.datasets.source import Source
 from incremental_mapper.errors import InputError
-from incremental_mapper.map.cloud import accumulate
 from incremental_mapper.mapping.load_shedding import READ_AHEAD
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.mapping.result import MapResult, WindowResult
@@ -224,7 +223,7 @@ def map_source(
         if interrupted:
             raise KeyboardInterrupt
         raise _nothing_used(source)
-    points = map_points(result, config)
+    points = result.points(config.map)
     errors = None if truth is None else trajectory_errors(result.trajectory, truth)
     info = source.info
     statistics = RunStatistics.of_run(
@@ -237,15 +236,6 @@ def map_source(
         interrupted,
     )
     return Run(result, points, statistics)
-
-
-def map_points(result: MapResult, config: Config) -> NDArray[np.float32]:
-    """The map of a result, from the newest poses of its clusters.
-
-    Returns:
-        Points (N, 3) in metres in the map frame, one a voxel of ``map.voxel_size``.
-    """
-    return accumulate(result.placed_scans(), config.map.voxel_size, config.map.max_range)
 
 
 def _nothing_used(source: Source) -> InputError:

@@ -10,7 +10,7 @@ import numpy as np
 
 from incremental_mapper import __version__
 from incremental_mapper.mapping.result import MapResult
-from incremental_mapper.mapping.statistics import peak_rss_mb
+from incremental_mapper.mapping.statistics import MapStatistics, peak_rss_mb
 from incremental_mapper.measurements import Drops
 from incremental_mapper.results.trajectory_errors import TrajectoryErrors
 
@@ -51,7 +51,7 @@ class RunStatistics:
     truth.
     """
 
-    mapped: Mapping[str, Any]
+    mapped: MapStatistics
     dropped: DropCounts
     wall_s: float
     real_time_factor: float
@@ -86,10 +86,10 @@ class RunStatistics:
             interrupted: Whether the rest of the input was not read.
         """
         return cls(
-            mapped=result.stats,
-            dropped=_all_drops(result.stats['dropped'], drops),
+            mapped=result.statistics,
+            dropped=_all_drops(result.statistics.dropped, drops),
             wall_s=wall_s,
-            real_time_factor=result.stats['drive_s'] / wall_s,
+            real_time_factor=result.statistics.drive_s / wall_s,
             peak_rss_mb=peak_rss_mb(),
             windows=_window_seconds(result),
             versions=versions(),
@@ -102,7 +102,7 @@ class RunStatistics:
     def to_tree(self) -> dict[str, Any]:
         """The keys of ``stats.json`` in their order, as plain values."""
         return {
-            **self.mapped,
+            **self.mapped.to_tree(),
             'dropped': self.dropped,
             'wall_s': self.wall_s,
             'real_time_factor': self.real_time_factor,

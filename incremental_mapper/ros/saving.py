@@ -14,7 +14,6 @@ from incremental_mapper.errors import OutputError
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.mapping.result import MapResult
 from incremental_mapper.measurements import Drops
-from incremental_mapper.results.offline_run import map_points
 from incremental_mapper.results.run_folder import draw_result, write_result
 from incremental_mapper.results.run_statistics import InputFacts, RunStatistics
 
@@ -37,7 +36,7 @@ def save_map(wanted: Path, mapper: Mapper, drops: Drops, wall: float, facts: Inp
     result = mapper.result()
     if not result.clusters:
         raise OutputError('the map is empty, nothing was saved; no scan and no fix was mapped yet')
-    points = map_points(result, mapper.config)
+    points = result.points(mapper.config.map)
     target = wanted.expanduser().absolute()
     scratch: Path | None = None
     try:

@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 
 from incremental_mapper.candidates.model import HEAD, Candidate, Cluster, Connection
 from incremental_mapper.candidates.partitions import make_cluster
-from incremental_mapper.graph.values import bias_key, copy_value, pose_key, velocity_key
 from incremental_mapper.scoring.criteria import Criterion, Proposal
 from incremental_mapper.selection.window_problem import WindowProblem
 from incremental_mapper.smoothing.marginal_prior import MarginalPrior, marginalise
 from incremental_mapper.smoothing.smoother import smoother_update
+from incremental_mapper.variables import bias_key, copy_value, pose_key, velocity_key
 
 MakeCriterion: TypeAlias = Callable[[WindowProblem, Sequence[Proposal], bool], Criterion]
 """Makes a window's criterion for some candidates; the last argument asks for exact values."""

@@ -2,12 +2,11 @@
 
 from itertools import islice
 
-from incremental_mapper.candidates.enumeration import candidates, upper_bound
 from incremental_mapper.candidates.model import Candidate
 from incremental_mapper.candidates.time_shift_search import by_time_shift
 from incremental_mapper.scoring.criteria import TIME_SHIFT, Proposal
 from incremental_mapper.selection.choice import Choice, Tried
-from incremental_mapper.selection.selector import best_index, connected_candidates
+from incremental_mapper.selection.selector import all_candidates, best_index, connected_candidates
 from incremental_mapper.selection.stopwatch import Stopwatch
 from incremental_mapper.selection.window_problem import WindowProblem
 
@@ -25,11 +24,8 @@ class LeastTimeShift:
     def select(self, problem: WindowProblem) -> Choice:
         """See Strategy."""
         clock = Stopwatch()
-        bound = upper_bound(len(problem.elements), problem.head is not None)
-        if bound <= problem.config.selection.max_candidates:
-            looked = list(candidates(problem.elements, problem.head, problem.imu))
-            cut = False
-        else:
+        looked, cut = all_candidates(problem), False
+        if looked is None:
             looked = _least_shifted(problem)
             cut = not looked or bool(problem.unconnected(looked[-1]))
         pool = connected_candidates(problem, looked)

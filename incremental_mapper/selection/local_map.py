@@ -13,9 +13,9 @@ from incremental_mapper.geometry import transform_points
 from incremental_mapper.graph.connectivity import Partition, Partitions
 from incremental_mapper.graph.factor_builder import WindowInputs
 from incremental_mapper.graph.motion_compensation import MotionCompensation
-from incremental_mapper.graph.values import cluster_of, pose_key
 from incremental_mapper.scoring.mom import LocalMap
 from incremental_mapper.smoothing.graph_state import GraphState, PlacedScan
+from incremental_mapper.variables import cluster_of, pose_key
 from incremental_mapper.voxels import thin
 
 

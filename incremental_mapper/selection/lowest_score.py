@@ -11,7 +11,7 @@ from itertools import islice
 
 import numpy as np
 
-from incremental_mapper.candidates.enumeration import base_candidate, candidates, upper_bound
+from incremental_mapper.candidates.enumeration import base_candidate
 from incremental_mapper.candidates.local_moves import neighbours
 from incremental_mapper.candidates.model import Candidate
 from incremental_mapper.candidates.time_shift_search import by_time_shift
@@ -19,11 +19,11 @@ from incremental_mapper.scoring import mom
 from incremental_mapper.scoring.criteria import ByFunction, Criterion, Mom, Proposal, mom_criterion
 from incremental_mapper.scoring.verification import verify
 from incremental_mapper.selection.beam_search import MakeCriterion, beam_search
-from incremental_mapper.selection.candidate_solver import CandidateSolver
 from incremental_mapper.selection.choice import Choice, Tried
-from incremental_mapper.selection.selector import best_index, connected_candidates
+from incremental_mapper.selection.selector import all_candidates, best_index, connected_candidates
 from incremental_mapper.selection.stopwatch import Stopwatch
 from incremental_mapper.selection.window_problem import WindowProblem
+from incremental_mapper.smoothing.candidate_solver import CandidateSolver
 from incremental_mapper.smoothing.gauss_newton import Solved
 
 AT_ONCE = 6
@@ -93,7 +93,6 @@ class _Selection:
         self._settings = problem.config.selection
         self._make_criterion = make_criterion
         self._clock = Stopwatch()
-        self._solver = CandidateSolver(problem)
         self._proposals: list[Proposal] = []
         self._solved: list[Solved] = []
         self._scores: list[float] = []
@@ -105,6 +104,9 @@ class _Selection:
         connected, found = pool.connected, pool.found
         cut |= pool.limited
         clock.lap('candidates')
+        self._solver = CandidateSolver(
+            problem.prior, problem.factors, problem.guess, problem.config.graph.max_iterations
+        )
         self._propose(pool.eligible)
         criterion = self._make_criterion(problem, self._proposals, True)
         self._scores = criterion.scores(self._proposals)
@@ -148,10 +150,10 @@ class _Selection:
     def _candidates(self) -> tuple[list[Candidate], bool]:
         """The candidates to choose from, and whether there may be better ones."""
         problem, settings = self._problem, self._settings
+        every = all_candidates(problem)
+        if every is not None:
+            return every, False
         window = problem.elements, problem.head, problem.imu
-        bound = upper_bound(len(problem.elements), problem.head is not None)
-        if bound <= settings.max_candidates:
-            return list(candidates(*window)), False
         width = min(settings.beam_width, problem.limit or settings.beam_width)
         # The conventional graph takes part as well, first as in an enumeration: what is found is
         # never worse than it, and the map is judged at the same points.

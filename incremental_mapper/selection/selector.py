@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from incremental_mapper.candidates.enumeration import candidates, upper_bound
 from incremental_mapper.candidates.model import Candidate
 from incremental_mapper.selection.window_problem import WindowProblem
 
@@ -27,18 +28,31 @@ class Pool:
     limited: bool
 
 
-def connected_candidates(problem: WindowProblem, candidates: Sequence[Candidate]) -> Pool:
+def all_candidates(problem: WindowProblem) -> list[Candidate] | None:
+    """Every candidate of a window, None where there may be more than the settings allow.
+
+    Args:
+        problem: The window; ``selection.max_candidates`` bounds 3^(N-1), or half of it without a
+            cluster of G(t-1) to connect from.
+    """
+    bound = upper_bound(len(problem.elements), problem.head is not None)
+    if bound > problem.config.selection.max_candidates:
+        return None
+    return list(candidates(problem.elements, problem.head, problem.imu))
+
+
+def connected_candidates(problem: WindowProblem, looked: Sequence[Candidate]) -> Pool:
     """Filter candidates by union-find, before anything is solved.
 
     Args:
         problem: The window; its ``limit`` keeps the least shifted candidates only.
-        candidates: What was enumerated or found.
+        looked: What was enumerated or found.
 
     Returns:
         The candidates that may win. Where ``may_merge`` is off, those that merge may do so only
         if no other is connected.
     """
-    eligible = [item for item in candidates if not problem.unconnected(item)]
+    eligible = [item for item in looked if not problem.unconnected(item)]
     connected = set(map(id, eligible))
     if not problem.may_merge:
         eligible = [item for item in eligible if not item.merges] or eligible
@@ -49,19 +63,19 @@ def connected_candidates(problem: WindowProblem, candidates: Sequence[Candidate]
     return Pool(eligible, found, connected, limited)
 
 
-def best_index(scores: Sequence[float], candidates: Sequence[Candidate]) -> int | None:
+def best_index(scores: Sequence[float], scored: Sequence[Candidate]) -> int | None:
     """Index of the candidate that wins.
 
     Args:
         scores: Lower is better; what is not finite never wins.
-        candidates: The candidates of the scores.
+        scored: The candidates of the scores.
 
     Returns:
         The lowest score; among equal ones the fewest vertices, then the finer partition. None
         where no score is finite.
     """
     finite = [i for i, score in enumerate(scores) if np.isfinite(score)]
-    return min(finite, key=lambda i: (scores[i], *_simplicity(candidates[i])), default=None)
+    return min(finite, key=lambda i: (scores[i], *_simplicity(scored[i])), default=None)
 
 
 def _simplicity(candidate: Candidate) -> tuple[Any, ...]:

@@ -1,7 +1,8 @@
 """The problem of one window: everything that its choice depends on, put together once."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import gtsam
 import numpy as np
@@ -11,27 +12,26 @@ from incremental_mapper.candidates.model import Candidate, Cluster
 from incremental_mapper.candidates.partitions import Element, group_elements
 from incremental_mapper.candidates.spans import ImuStamps
 from incremental_mapper.config import Config
-from incremental_mapper.frontend.front_end import Prepared
-from incremental_mapper.frontend.imu_preintegration import ImuSeries
+from incremental_mapper.frontend.dead_reckoning import State, predict
+from incremental_mapper.frontend.front_end import Prepared, PreparedFix
+from incremental_mapper.frontend.imu_preintegration import ImuSeries, level_rotation
 from incremental_mapper.graph.connectivity import Partitions
 from incremental_mapper.graph.factor_builder import FactorBuilder, WindowInputs
 from incremental_mapper.graph.initial_guess import InitialGuess
 from incremental_mapper.graph.motion_compensation import MotionCompensation
 from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.selection.local_map import LocalMapBuilder
-from incremental_mapper.selection.window_inputs import window_inputs
 from incremental_mapper.smoothing.graph_state import GraphState
 from incremental_mapper.smoothing.marginal_prior import MarginalPrior, trimmed
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class WindowProblem:
     """A window's elements, their factors, and what candidates are judged on.
 
     Attributes:
         config: All settings.
         inputs: What the factors are made of.
-        elements: The core measurements, grouped by stamp, in time order.
         imu: Which IMU samples lie between two stamps.
         prior: What G(t-1) says of its frontier, and of the earlier poses that candidates are
             judged by.
@@ -46,7 +46,6 @@ class WindowProblem:
 
     config: Config
     inputs: WindowInputs
-    elements: tuple[Element, ...]
     imu: ImuStamps
     prior: MarginalPrior
     partitions: Partitions
@@ -56,6 +55,11 @@ class WindowProblem:
     local_maps: LocalMapBuilder
     may_merge: bool
     limit: int | None = None
+
+    @cached_property
+    def elements(self) -> tuple[Element, ...]:
+        """The core measurements, grouped by stamp, in time order."""
+        return group_elements(self.inputs.prepared)
 
     @property
     def head(self) -> int | None:
@@ -95,26 +99,119 @@ def pose_problem(
     Returns:
         The problem that a strategy selects from.
     """
-    inputs = window_inputs(items, state, series, orientation, parameters, config)
-    elements = group_elements(item.core for item in items)
+    recent = config.mom.submap_scans
     max_gap = round(config.preintegration.max_gap * NANOSECONDS)
-    partitions = Partitions(inputs.prepared, inputs.frontier, len(elements))
+    prior = trimmed(state.prior, state.recent_poses(recent))
+    inputs = window_inputs(items, state, series, orientation, parameters, config)
+    partitions = Partitions(inputs.prepared, inputs.frontier)
     compensation = MotionCompensation(
         inputs.head_state, series, parameters, max_gap, config.graph.motion_compensation
     )
-    recent = config.mom.submap_scans
+    factors = FactorBuilder(inputs, partitions, compensation)
     return WindowProblem(
         config=config,
         inputs=inputs,
-        elements=elements,
         imu=ImuStamps(series.stamps, max_gap),
-        prior=trimmed(state.prior, state.recent_poses(recent)),
+        prior=prior,
         partitions=partitions,
         compensation=compensation,
-        factors=FactorBuilder(inputs, partitions, compensation),
+        factors=factors,
         guess=InitialGuess(inputs.states, inputs.head_state, inputs.frontier, partitions),
         local_maps=LocalMapBuilder(items, inputs, partitions, compensation, state, recent),
         # How far a merged measurement must be moved is unknown before the velocity is.
         may_merge=state.velocity_known or not config.graph.motion_compensation,
         limit=limit,
     )
+
+
+def window_inputs(
+    items: Sequence[Prepared],
+    state: GraphState,
+    series: ImuSeries,
+    orientation: NDArray[np.float64] | None,
+    parameters: gtsam.PreintegrationCombinedParams,
+    config: Config,
+) -> WindowInputs:
+    """Gather the inputs of a window; ``orientation`` is the IMU's first quaternion, if any."""
+    frontier = state.frontier
+    start = (
+        _first_state(items[0].core.stamp, series, orientation, config)
+        if frontier.head is None
+        else _head_state(state)
+    )
+    scan_poses = {
+        (name, stamp): state.pose(cluster).compose(state.scan_offsets[name, stamp])
+        for name, (cluster, stamp) in frontier.chains.items()
+    }
+    max_gap = round(config.preintegration.max_gap * NANOSECONDS)
+    states = predict(
+        items, start, scan_poses, series, parameters, max_gap, velocity_known=state.velocity_known
+    )
+    return WindowInputs(
+        prepared={item.core: item for item in items},
+        states=states,
+        series=series,
+        parameters=parameters,
+        frontier=frontier,
+        head_state=start,
+        scan_offsets=state.scan_offsets,
+        enu_offset=_enu_offset(items, state, states, config),
+        fix_inflation=fix_spread(state, items),
+        config=config,
+    )
+
+
+def _head_state(state: GraphState) -> State:
+    frontier = state.frontier
+    assert frontier.head is not None
+    inertial = frontier.head_inertial
+    return State(
+        stamp=frontier.head_stamp,
+        pose=state.pose(frontier.head),
+        velocity=state.velocity(frontier.head) if inertial else state.last_velocity,
+        bias=state.bias(frontier.head) if inertial else state.last_bias,
+    )
+
+
+def _first_state(
+    stamp: int, series: ImuSeries, orientation: NDArray[np.float64] | None, config: Config
+) -> State:
+    """Level by gravity; yaw from the IMU's orientation if it has one, else zero."""
+    R_base_imu = config.imu.matrix()[:3, :3]
+    yaw = 0.0
+    if orientation is not None:
+        x, y, z, w = orientation
+        R_enu_base = gtsam.Rot3.Quaternion(w, x, y, z).compose(gtsam.Rot3(R_base_imu.T))
+        yaw = float(R_enu_base.yaw())
+    rotation = gtsam.Rot3.Yaw(yaw)
+    if len(series.stamps):
+        rotation = level_rotation(R_base_imu @ series.acceleration.mean(axis=0), yaw)
+    return State(
+        stamp, gtsam.Pose3(rotation, np.zeros(3)), np.zeros(3), gtsam.imuBias.ConstantBias()
+    )
+
+
+def _enu_offset(
+    items: Sequence[Prepared], state: GraphState, states: Mapping[int, State], config: Config
+) -> NDArray[np.float64]:
+    """Where ENU's origin lies in the map; before the first fix is used, that fix defines it."""
+    if state.enu_offset is not None:
+        return state.enu_offset
+    for item in items:
+        if isinstance(item, PreparedFix):
+            arm = config.gnss.matrix()[:3, 3]
+            antenna = states[item.core.stamp].pose.transformFrom(arm)
+            offset: NDArray[np.float64] = antenna - item.enu
+            return offset
+    return np.zeros(3)
+
+
+def fix_spread(state: GraphState, items: Sequence[Prepared]) -> Mapping[int, float]:
+    """Extra standard deviation in metres of each fix, by stamp, while the yaw is unknown."""
+    if state.georeferenced:
+        return {}
+    fixes = [item for item in items if isinstance(item, PreparedFix)]
+    if not fixes:
+        return {}
+    first = state.fixes[0].enu if state.fixes else fixes[0].enu
+    return {fix.core.stamp: 2.0 * float(np.linalg.norm((fix.enu - first)[:2])) for fix in fixes}

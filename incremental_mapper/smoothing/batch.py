@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 
-from incremental_mapper.graph.values import kind_of
 from incremental_mapper.smoothing.linear_system import REGULARISING_SIGMA
+from incremental_mapper.variables import kind_of
 
 
 @dataclass(frozen=True, slots=True, eq=False)

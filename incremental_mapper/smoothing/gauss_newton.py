@@ -11,7 +11,6 @@ from functools import lru_cache
 import gtsam
 import numpy as np
 
-from incremental_mapper.graph.values import kind_of
 from incremental_mapper.smoothing.batch import make_graph
 from incremental_mapper.smoothing.linear_system import (
     Array,
@@ -24,6 +23,7 @@ from incremental_mapper.smoothing.linear_system import (
     linearised,
 )
 from incremental_mapper.smoothing.marginal_prior import MarginalPrior
+from incremental_mapper.variables import kind_of
 
 AGREEMENT = 1e-4
 """A solve has converged where the linear error is the true one, or the step makes the linear

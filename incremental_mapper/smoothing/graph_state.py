@@ -13,9 +13,9 @@ from incremental_mapper.candidates.model import Cluster
 from incremental_mapper.config import MOST_SUBMAP_SCANS
 from incremental_mapper.graph.factors import BETWEEN_STATES, Factor
 from incremental_mapper.graph.frontier import Frontier
-from incremental_mapper.graph.values import bias_key, cluster_of, kind_of, pose_key, velocity_key
 from incremental_mapper.map.store import MemoryStore, PointStore, StoredPoints
 from incremental_mapper.smoothing.marginal_prior import MarginalPrior, marginalise
+from incremental_mapper.variables import bias_key, cluster_of, kind_of, pose_key, velocity_key
 
 KNOWN_VELOCITY = 0.5
 """m/s; a velocity with a smaller standard deviation may be used to predict motion."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dpotrs
 
 from incremental_mapper.compiled import kernel
-from incremental_mapper.graph.values import kind_of
+from incremental_mapper.variables import kind_of
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]

@@ -14,8 +14,8 @@ import gtsam
 import numpy as np
 from scipy.linalg.lapack import dgeqrf, dtrtrs
 
-from incremental_mapper.graph.values import cluster_of
 from incremental_mapper.smoothing.linear_system import Array, layout_of, solve_scaled
+from incremental_mapper.variables import cluster_of
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,11 +6,11 @@ from dataclasses import replace
 import gtsam
 import numpy as np
 
-from incremental_mapper.graph.values import cluster_of, copy_value
 from incremental_mapper.smoothing.batch import eliminate, make_graph
 from incremental_mapper.smoothing.gauss_newton import Problem, Solved, linear_system
 from incremental_mapper.smoothing.linear_system import Layout, System
 from incremental_mapper.smoothing.marginal_prior import MarginalPrior, triangle
+from incremental_mapper.variables import cluster_of, copy_value
 
 
 def smoother_update(

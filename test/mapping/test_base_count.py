@@ -11,7 +11,7 @@ import pytest
 from incremental_mapper.config import Strategy, make_config
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.measurements import FixStatus, GnssFix, ImuSample, LidarScan
-from incremental_mapper.scoring.strategies import strategy_names
+from incremental_mapper.selection.strategies import strategy_names
 
 STAMPS = Path(__file__).resolve().parents[3] / 'shared' / 'data' / 'kaist_timing'
 SEQUENCES = [

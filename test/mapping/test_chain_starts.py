@@ -6,9 +6,9 @@ import pytest
 
 from incremental_mapper.config import Strategy, make_config
 from incremental_mapper.graph.factors import FactorKind
-from incremental_mapper.graph.values import bias_key, velocity_key
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.measurements import FixStatus, GnssFix, ImuSample, LidarScan
+from incremental_mapper.variables import bias_key, velocity_key
 
 MS = 1_000_000
 SECOND = 1000 * MS

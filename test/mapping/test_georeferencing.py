@@ -12,7 +12,7 @@ from incremental_mapper.frontend.front_end import PreparedFix
 from incremental_mapper.mapping.georeferencing import agreeing_track
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.measurements import FixStatus, GnssFix, ImuSample, LidarScan
-from incremental_mapper.selection.window_inputs import fix_spread
+from incremental_mapper.selection.window_problem import fix_spread
 from incremental_mapper.smoothing.graph_state import GraphState, PlacedFix
 
 SECOND = 1_000_000_000

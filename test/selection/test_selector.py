@@ -1,5 +1,7 @@
 """Which candidates may win, and which one does where scores agree."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -141,8 +143,7 @@ def test_strategies_judge_the_least_shifted_candidates_only(limit):
 def test_merging_is_the_last_resort_while_the_velocity_is_unknown():
     problem = problem_of(WINDOW)
     every = all_candidates(problem)
-    state = type(problem)
-    careful = state(**{**{n: getattr(problem, n) for n in state.__slots__}, 'may_merge': False})
+    careful = replace(problem, may_merge=False)
     pool = connected_candidates(careful, every)
     assert pool.eligible and not any(item.merges for item in pool.eligible)
     assert len(pool.eligible) < pool.found + 1 <= len(every)

@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from incremental_mapper.graph.factors import pose_prior, pose_sigmas
-from incremental_mapper.graph.values import bias_key, copy_value, key_name, pose_key, velocity_key
 from incremental_mapper.smoothing.batch import eliminate, make_graph, optimize, squared_error
+from incremental_mapper.variables import bias_key, copy_value, key_name, pose_key, velocity_key
 
 SECOND = 1_000_000_000
 FIX_NOISE = gtsam.noiseModel.Isotropic.Sigma(3, 0.5)

@@ -13,10 +13,10 @@ from incremental_mapper.graph.factors import (
     pose_prior,
     pose_sigmas,
 )
-from incremental_mapper.graph.values import pose_key
 from incremental_mapper.smoothing.gauss_newton import AGREEMENT, NEAR, Problem, SharedProblem
 from incremental_mapper.smoothing.marginal_prior import MarginalPrior, marginalise
 from incremental_mapper.smoothing.smoother import commit_solution, smoother_update
+from incremental_mapper.variables import pose_key
 
 STEP = gtsam.Pose3(gtsam.Rot3.Ypr(0.05, 0.0, 0.01), np.array([1.0, 0.1, 0.0]))
 

@@ -15,12 +15,12 @@ from incremental_mapper.graph.factors import (
     pose_sigmas,
     velocity_prior,
 )
-from incremental_mapper.graph.values import bias_key, pose_key, velocity_key
 from incremental_mapper.smoothing.batch import make_graph, optimize, squared_error
 from incremental_mapper.smoothing.gauss_newton import Problem
 from incremental_mapper.smoothing.linear_system import Layout, solve_scaled
 from incremental_mapper.smoothing.marginal_prior import MarginalPrior, marginalise, trimmed
 from incremental_mapper.smoothing.smoother import marginal_prior_of, smoother_update
+from incremental_mapper.variables import bias_key, pose_key, velocity_key
 
 SECOND = 1_000_000_000
 STEP = gtsam.Pose3(gtsam.Rot3.Ypr(0.05, 0.0, 0.01), np.array([1.0, 0.1, 0.0]))

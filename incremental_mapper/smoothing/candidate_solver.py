@@ -4,8 +4,10 @@ from collections.abc import Mapping
 
 from incremental_mapper.candidates.model import Candidate
 from incremental_mapper.frontend.dead_reckoning import State
-from incremental_mapper.selection.window_problem import WindowProblem
+from incremental_mapper.graph.factor_builder import FactorBuilder
+from incremental_mapper.graph.initial_guess import InitialGuess
 from incremental_mapper.smoothing.gauss_newton import SharedProblem, Solved
+from incremental_mapper.smoothing.marginal_prior import MarginalPrior
 
 
 class CandidateSolver:
@@ -14,10 +16,24 @@ class CandidateSolver:
     The first one starts from the predicted states; the others, where that one put the car.
     """
 
-    def __init__(self, problem: WindowProblem) -> None:
-        self._factors = problem.factors
-        self._guess = problem.guess
-        self._shared = SharedProblem(problem.prior, problem.config.graph.max_iterations)
+    def __init__(
+        self,
+        prior: MarginalPrior,
+        factors: FactorBuilder,
+        guess: InitialGuess,
+        max_iterations: int,
+    ) -> None:
+        """Nothing is solved yet.
+
+        Args:
+            prior: What G(t-1) says of its frontier.
+            factors: Builds the candidates' factors.
+            guess: The values from which they are solved.
+            max_iterations: Of one solve.
+        """
+        self._factors = factors
+        self._guess = guess
+        self._shared = SharedProblem(prior, max_iterations)
         self._states: Mapping[int, State] | None = None
 
     def solve(self, candidate: Candidate) -> Solved | None:
