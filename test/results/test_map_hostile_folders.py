@@ -62,7 +62,7 @@ def test_scan_of_five_points(map_light, light_copy):
     run = map_light(light_copy, strategy='mom')
     assert run.status == 0
     assert run.stats['components'] == 1
-    assert worst_offset(run, light_copy) < 0.5
+    assert worst_offset(run, light_copy) < 0.25  # measured: 0.17 m
 
 
 def test_scan_that_is_one_point_many_times(map_light, light_copy):
@@ -78,7 +78,7 @@ def test_scan_of_noise_does_not_bend_the_trajectory(map_light, light_copy):
     rng.uniform(-30, 30, (5000, 4)).astype('<f4').tofile(path)
     run = map_light(light_copy)
     assert run.status == 0
-    assert worst_offset(run, light_copy) < 0.7
+    assert worst_offset(run, light_copy) < 0.25  # measured: 0.17 m
 
 
 def test_lines_out_of_order_change_nothing(map_light, light_drive, light_copy, tmp_path):
@@ -149,7 +149,7 @@ def test_fix_that_is_50_m_off_does_not_shear_the_map(map_light, light_copy, whic
     assert run.status == 0
     assert run.stats['components'] == 1
     # The map's shape is that of the drive, wherever the fixes say that it lies.
-    assert run.stats['ate_rmse_m'] < 0.3
+    assert run.stats['ate_rmse_m'] < 0.26  # measured: 0.087, 0.068 and 0.174 m
 
 
 def test_later_fix_that_is_50_m_off_does_not_turn_the_map(map_light, light_copy):
@@ -159,7 +159,7 @@ def test_later_fix_that_is_50_m_off_does_not_turn_the_map(map_light, light_copy)
     rewrite(path, [','.join(row) for row in rows])
     run = map_light(light_copy)
     assert run.stats['georeferenced'] is True
-    assert worst_offset(run, light_copy) < 0.7
+    assert worst_offset(run, light_copy) < 0.28  # measured: 0.185 m
 
 
 def test_fix_on_the_other_side_of_the_earth(map_light, light_copy):
@@ -169,7 +169,7 @@ def test_fix_on_the_other_side_of_the_earth(map_light, light_copy):
     rewrite(path, [','.join(row) for row in rows])
     run = map_light(light_copy)
     assert run.status == 0
-    assert run.stats['ate_rmse_m'] < 0.3
+    assert run.stats['ate_rmse_m'] < 0.14  # measured: 0.091 m
 
 
 def test_nothing_but_unusable_scans(map_light, tmp_path):

@@ -274,8 +274,8 @@ def test_map_is_east_north_up_once_georeferenced(mapped, aligned):
     estimate, _, expected = aligned
     assert mapped.stats['georeferenced'] is True
     offset = estimate.positions - expected
-    assert np.linalg.norm(offset[:, :2], axis=1).max() < 0.5
-    assert np.abs(offset[:, 2]).max() < 1.0
+    assert np.linalg.norm(offset[:, :2], axis=1).max() < 0.09  # measured: 0.056 m
+    assert np.abs(offset[:, 2]).max() < 0.03  # 0.014 m
     assert np.linalg.norm(np.ptp(expected[:, :2], axis=0)) > 10.0
 
 
@@ -309,28 +309,36 @@ def test_odometry_factors_are_the_true_motion(mapped, drive):
         first, second = truth.interpolate(np.array(factor['stamps_ns'])).matrices()
         motion = np.linalg.inv(first) @ second
         measured = np.array(factor['T_first_second'])
-        assert np.linalg.norm(motion[:3, 3] - measured[:3]) < 0.3
+        assert np.linalg.norm(motion[:3, 3] - measured[:3]) < 0.05  # measured: 0.031 m at most
         turn = Rotation.from_matrix(motion[:3, :3]).inv() * Rotation.from_quat(measured[3:])
-        assert np.degrees(turn.magnitude()) < 1.5
+        assert np.degrees(turn.magnitude()) < 0.4  # 0.25 deg at most
 
 
 def test_mom_follows_the_drive(mapped):
     stats = mapped.stats
     assert stats['strategy'] == 'mom'
     assert stats['components'] == 1
-    assert stats['ate_rmse_m'] < 0.15
-    assert stats['rpe_rotation_rmse_deg'] < 1.0
+    # Gates of this file are about one and a half times what is measured: 0.018 m and 0.038 deg.
+    assert stats['ate_rmse_m'] < 0.03
+    assert stats['rpe_rotation_rmse_deg'] < 0.06
     assert stats['vertices'] < stats['base_vertices']
 
 
-@pytest.mark.parametrize('strategy', ['base', 'min_time_shift', 'min_solver_error'])
-def test_every_strategy_follows_the_drive(run_map, drive, strategy):
+@pytest.mark.parametrize(
+    ('strategy', 'ate', 'rotation'),
+    [
+        ('base', 0.016, 0.021),  # measured: 0.0105 m, 0.0138 deg
+        ('min_time_shift', 0.2, 1.9),  # 0.132 m, 1.28 deg
+        ('min_solver_error', 0.1, 0.2),  # 0.064 m, 0.128 deg
+    ],
+)
+def test_every_strategy_follows_the_drive(run_map, drive, strategy, ate, rotation):
     run = run_map(drive, '--strategy', strategy)
     assert run.status == 0
     assert run.stats['strategy'] == strategy
     assert run.stats['components'] == 1
-    assert run.stats['ate_rmse_m'] < 0.4
-    assert run.stats['rpe_rotation_rmse_deg'] < 2.0
+    assert run.stats['ate_rmse_m'] < ate
+    assert run.stats['rpe_rotation_rmse_deg'] < rotation
     if strategy == 'base':
         assert run.stats['vertices'] == run.stats['base_vertices']
         assert run.stats['factors'] == run.stats['base_factors']
@@ -364,7 +372,7 @@ def test_windows_of_other_lengths(map_light, light_drive, duration):
     run = map_light(light_drive, config=text)
     assert run.status == 0
     assert run.stats['components'] == 1
-    assert run.stats['ate_rmse_m'] < 0.5
+    assert run.stats['ate_rmse_m'] < 0.11  # measured: 0.064 m and 0.076 m
 
 
 def test_search_that_was_cut_before_a_connected_candidate_still_connects(map_light, light_drive):
@@ -373,7 +381,7 @@ def test_search_that_was_cut_before_a_connected_candidate_still_connects(map_lig
     assert run.status == 0
     assert run.stats['cut_windows'] > 0
     assert run.stats['components'] == 1
-    assert run.stats['ate_rmse_m'] < 0.5
+    assert run.stats['ate_rmse_m'] < 0.04  # measured: 0.026 m
 
 
 def test_verify_reports_the_agreement(run_map, light_drive, settings):

@@ -123,13 +123,16 @@ def test_least_time_shift_is_found_without_enumerating(tasks):
     assert searched_windows > 2
 
 
-@pytest.mark.parametrize('strategy', ['mom', 'min_solver_error', 'min_time_shift'])
-def test_windows_of_seconds_are_mapped(map_light, light_drive, strategy):
+@pytest.mark.parametrize(
+    ('strategy', 'ate'),
+    [('mom', 0.11), ('min_solver_error', 0.19), ('min_time_shift', 0.26)],
+)
+def test_windows_of_seconds_are_mapped(map_light, light_drive, strategy, ate):
     text = 'window:\n  duration: 2.0\nselection:\n  beam_width: 2\nmom:\n  max_points: 100\n'
     run = map_light(light_drive, config=text, strategy=strategy)
     assert run.status == 0
     assert run.stats['components'] == 1
-    assert run.stats['ate_rmse_m'] < 0.5
+    assert run.stats['ate_rmse_m'] < ate  # half as much again as is measured
     assert max(int(row['core']) for row in run.rows) > 20
     # The time shift is exact whatever the size; the others say that they did not see everything.
     assert (run.stats['cut_windows'] > 0) == (strategy != 'min_time_shift')
