@@ -11,7 +11,7 @@ from incremental_mapper.config import QueueSettings
 from incremental_mapper.mapping.load_shedding import NO_SHEDDING, LoadShedding
 from incremental_mapper.measurements import Drops, ImuSample, LidarScan, Measurement
 
-SHRINK_FROM, MERGE_FROM, MERGE_MORE_FROM = 0.2, 0.5, 0.75
+SEARCH_LESS_FROM, MERGE_FROM, MERGE_MORE_FROM = 0.2, 0.5, 0.75
 """Shares of the queue from which on less is spent on a window."""
 MOST_CANDIDATES, LEAST_CANDIDATES = 64, 4
 """Candidates that are solved at the first sign of overload, and under full overload."""
@@ -112,7 +112,7 @@ class Inbox:
     def shedding(self) -> LoadShedding:
         """What may be spent on the next windows at this filling."""
         core, imu = self.waiting()
-        return effort_at(max(core / self._limits[False], imu / self._limits[True]))
+        return shedding_at(max(core / self._limits[False], imu / self._limits[True]))
 
     def drops(self) -> Drops:
         """What was dropped, by sensor and reason."""
@@ -128,11 +128,11 @@ class Inbox:
                 return
 
 
-def effort_at(filling: float) -> LoadShedding:
+def shedding_at(filling: float) -> LoadShedding:
     """Limits at a filling of the queue between 0 and 1: first less search, then fewer windows."""
-    if filling < SHRINK_FROM:
+    if filling < SEARCH_LESS_FROM:
         return NO_SHEDDING
-    share = max(MERGE_FROM - filling, 0.0) / (MERGE_FROM - SHRINK_FROM)
+    share = max(MERGE_FROM - filling, 0.0) / (MERGE_FROM - SEARCH_LESS_FROM)
     candidates = round(LEAST_CANDIDATES + share * (MOST_CANDIDATES - LEAST_CANDIDATES))
     windows = 1 + (filling >= MERGE_FROM) + (filling >= MERGE_MORE_FROM)
     return LoadShedding(candidates=candidates, windows=windows)

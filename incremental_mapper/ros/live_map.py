@@ -1,7 +1,7 @@
 """Map, path and graph as they stand now, at a cost that does not grow with every window.
 
-What has left the mapper's lag is settled: it is placed once and kept. Only the lag is placed
-anew. When the map is turned into ENU, once in a drive, everything is placed again.
+What has left the mapper's lag is final: it is placed once and kept. Only the lag is placed anew.
+When the map is turned into ENU, once in a drive, everything is placed again.
 """
 
 from collections.abc import Iterable
@@ -21,7 +21,7 @@ from incremental_mapper.smoothing.graph_state import GraphState, PlacedScan
 from incremental_mapper.variables import cluster_of
 
 _FULLEST = 65_536.0
-"""Points after which a voxel's mean is settled; its sums stay exact to a fraction of a mm."""
+"""Points after which a voxel takes no more; its sums stay exact to a fraction of a millimetre."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,7 +59,7 @@ class LiveMap:
         self._restart()
 
     def follow(self) -> None:
-        """Take over what has settled since the last call."""
+        """Take over what has become final since the last call."""
         state = self._mapper.state
         if state.georeferenced != self._georeferenced:
             self._restart()
@@ -82,11 +82,11 @@ class LiveMap:
 
     @property
     def nbytes(self) -> int:
-        """Memory that the settled voxels take."""
+        """Memory that the final voxels take."""
         return self._cloud.nbytes
 
     def points(self) -> NDArray[np.float32]:
-        """The map (N, 3) in metres, a mean point a voxel; what is settled comes before the lag."""
+        """The map (N, 3) in metres, a mean point a voxel; what is final comes before the lag."""
         moving = self._empty_grid()
         for scan in self._mapper.state.scans[self._scans :]:
             self._add(moving, scan)

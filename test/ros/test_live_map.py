@@ -1,0 +1,72 @@
+"""Map, path and graph as they stand while a drive is mapped."""
+
+import numpy as np
+import pytest
+
+from incremental_mapper.datasets.open import open_source
+from incremental_mapper.map.cloud import accumulate
+from incremental_mapper.mapping.mapper import Mapper
+from incremental_mapper.results.offline_run import effective_config
+from incremental_mapper.ros.live_map import LiveMap
+
+SECOND = 1_000_000_000
+
+
+@pytest.fixture(scope='module')
+def followed(light_drive):
+    """A mapper, what followed it, and the newest graph view after every window."""
+    tree = {'mom': {'max_points': 100}, 'path': {'max_poses': 12}, 'graph': {'lag': 0.3}}
+    source = open_source(light_drive, tree)
+    config = effective_config(source, tree, 'test')
+    mapper = Mapper(config, list(source.info.counts))
+    live = LiveMap(mapper)
+    for measurement in source.measurements():
+        for _ in mapper.advance(measurement):
+            live.follow()
+            assert len(live.path().poses) <= 12
+    for _ in mapper.drain():
+        live.follow()
+    return mapper, live
+
+
+def test_long_path_is_thinned_and_ends_with_the_newest_pose(followed):
+    mapper, live = followed
+    path = live.path()
+    assert path.stamps == sorted(path.stamps)
+    assert path.stamps[-1] == mapper.state.clusters[-1].cluster.stamp
+    assert path.stamps[0] == mapper.state.clusters[0].cluster.stamp
+    newest = mapper.newest()
+    assert path.poses[-1][:3] == pytest.approx(list(newest.pose.translation()))
+
+
+def test_live_map_is_what_would_be_saved_of_the_same_poses(followed):
+    mapper, live = followed
+    state, settings = mapper.state, mapper.config.map
+    poses = [state.pose(scan.cluster).compose(scan.T_cluster_scan) for scan in state.scans]
+    final = [not state.in_lag(scan.cluster) for scan in state.scans]
+    placed = [(scan.points, pose.matrix()) for scan, pose in zip(state.scans, poses, strict=True)]
+
+    def cells(points):
+        return [tuple(cell) for cell in np.floor(points / settings.voxel_size).astype(int)]
+
+    def saved(chosen):
+        return accumulate(chosen, settings.voxel_size, settings.max_range)
+
+    points = live.points()
+    before = saved([item for item, done in zip(placed, final, strict=True) if done])
+    # What is final comes first and is the saved map; the lag fills voxels that it leaves free.
+    assert 1000 < len(before) < len(points)
+    assert points[: len(before)] == pytest.approx(before, abs=1e-4)
+    taken, whole = cells(points), set(cells(saved(placed)))
+    assert len(set(taken)) > 0.999 * len(taken)  # a mean at a border rounds to either side
+    assert len(whole ^ set(taken)) < 0.001 * len(whole)
+
+
+def test_graph_view_holds_the_asked_span_only(followed):
+    mapper, live = followed
+    newest = mapper.state.frontier.newest_stamp
+    within = [c for c in mapper.state.clusters if newest - c.cluster.stamp <= SECOND]
+    view = live.graph(1.0)
+    assert len(view.poses) == len(within) < len(mapper.state.clusters)
+    assert view.edges['odometry'].shape[1:] == (2, 3)
+    assert len(live.graph(60.0).poses) == len(mapper.state.clusters)

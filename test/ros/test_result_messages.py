@@ -1,0 +1,41 @@
+"""Results as messages: covariances and twists in the frames that ROS has them in."""
+
+import gtsam
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy', reason='rclpy is not installed (extra "ros")')
+
+from scipy.spatial.transform import Rotation
+
+from incremental_mapper.mapping.result import NewestState
+from incremental_mapper.ros.result_messages import odometry_message, ros_covariance
+
+SECOND = 1_000_000_000
+
+
+def test_covariance_is_what_samples_of_the_pose_have():
+    rng = np.random.default_rng(4)
+    pose = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.3, -0.4, 1.2), np.array([5.0, -2.0, 1.0]))
+    root = rng.normal(size=(6, 6)) * 1e-3
+    covariance = root @ root.T
+    translations, rotations = [], []
+    for tangent in rng.multivariate_normal(np.zeros(6), covariance, 40_000):
+        sample = pose.retract(tangent)
+        translations.append(sample.translation() - pose.translation())
+        # A small turn about the fixed axes of the parent.
+        rotations.append(sample.rotation().matrix() @ pose.rotation().matrix().T)
+    turns = Rotation.from_matrix(np.array(rotations)).as_rotvec()
+    measured = np.cov(np.hstack([np.array(translations), turns]).T)
+    expected = ros_covariance(covariance, pose.rotation().matrix())
+    assert np.abs(measured - expected).max() < 0.03 * np.abs(expected).max()
+
+
+def test_twist_is_along_the_axes_of_the_car():
+    pose = gtsam.Pose3(gtsam.Rot3.Yaw(np.pi / 2), np.zeros(3))
+    newest = NewestState(7 * SECOND + 5, pose, None, np.array([0.0, 3.0, 0.0]))
+    message = odometry_message(newest, 'map', 'base_link')
+    linear = message.twist.twist.linear
+    assert [linear.x, linear.y, linear.z] == pytest.approx([3.0, 0.0, 0.0])
+    assert (message.header.stamp.sec, message.header.stamp.nanosec) == (7, 5)
+    assert message.pose.covariance[0] >= 1e6
