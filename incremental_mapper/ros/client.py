@@ -71,7 +71,15 @@ class NodeClient:
         quality: QoSProfile,
         raw: bool = False,
     ) -> None:
-        """Call ``take`` with every message of a topic; with ``raw`` they are left serialised."""
+        """Subscribe to a topic.
+
+        Args:
+            topic: its full name.
+            kind: class of its messages.
+            take: called with every message, in the client's thread.
+            quality: must fit what the publisher offers.
+            raw: leave messages serialised.
+        """
 
         def on_message(message: Any, info: Any) -> None:
             take(Heard(message, info['source_timestamp'], info['received_timestamp']))
@@ -79,9 +87,17 @@ class NodeClient:
         self._node.create_subscription(kind, topic, on_message, quality, raw=raw)
 
     def call(self, service: str, timeout: float = 60.0) -> tuple[bool, str]:
-        """Call one of the node's ``Trigger`` services; returns success and message.
+        """Call one of the node's ``Trigger`` services.
 
-        Raises InputError where the node does not answer in time.
+        Args:
+            service: its name below the node's.
+            timeout: seconds that the node has to answer.
+
+        Returns:
+            Success and message.
+
+        Raises:
+            InputError: the node does not answer in time.
         """
         if service not in self._clients:
             place = f'/{self._name}/{service}'
@@ -94,7 +110,17 @@ class NodeClient:
         return answer.success, answer.message
 
     def fresh_diagnostics(self, timeout: float = 30.0) -> dict[str, dict[str, Any]]:
-        """The next diagnostics that come."""
+        """Wait for the next diagnostics.
+
+        Args:
+            timeout: seconds that they may take.
+
+        Returns:
+            Values by the name of the node's part.
+
+        Raises:
+            InputError: none come in time.
+        """
         seen = len(self.diagnostics)
         self.wait(lambda: len(self.diagnostics) > seen, 'diagnostics of the node', timeout)
         return self.diagnostics[-1]
@@ -106,7 +132,17 @@ class NodeClient:
         timeout: float,
         alive: Callable[[], bool] = lambda: True,
     ) -> None:
-        """Wait for something; raises InputError where it does not come, or ``alive`` says no."""
+        """Wait for something.
+
+        Args:
+            condition: true once it has come.
+            what: what it is, for the message.
+            timeout: seconds that it may take.
+            alive: false where it will never come.
+
+        Raises:
+            InputError: it does not come in time, or never will.
+        """
         end = time.monotonic() + timeout
         while not condition():
             if not alive():
@@ -142,7 +178,15 @@ class NodeClient:
 
 @contextmanager
 def open_client(domain: int, name: str = 'incremental_mapper') -> Iterator[NodeClient]:
-    """A client of the node ``name`` in a ROS domain of this machine."""
+    """Listen to a node while the block runs.
+
+    Args:
+        domain: a ROS domain; only this machine is looked at.
+        name: the node's name.
+
+    Yields:
+        The client, whose context and thread are its own.
+    """
     # The middleware reads this when the context is made.
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
     context = Context()

@@ -24,7 +24,17 @@ _PATIENCE = 30.0
 
 
 def free_domain(taken: Collection[int] = ()) -> int:
-    """A ROS domain that nobody on this machine uses; raises InputError where there is none."""
+    """Find a ROS domain that nobody on this machine uses.
+
+    Args:
+        taken: domains that are left out.
+
+    Returns:
+        One of DOMAINS, by chance.
+
+    Raises:
+        InputError: all are in use.
+    """
     for domain in random.SystemRandom().sample(DOMAINS, len(DOMAINS)):
         if domain in taken:
             continue
@@ -47,7 +57,15 @@ def local_environment(domain: int) -> dict[str, str]:
 def node_command(
     files: Sequence[Path] = (), parameters: Mapping[str, object] | None = None
 ) -> list[str]:
-    """The node with parameter files, later ones first, and single parameters over them."""
+    """Put together how the node is called.
+
+    Args:
+        files: parameter files; what a later one sets wins.
+        parameters: single parameters by name, which win over the files.
+
+    Returns:
+        Program and arguments.
+    """
     words = [sys.executable, '-m', 'incremental_mapper.ros.node', '--ros-args']
     for file in files:
         words += ['--params-file', str(file)]
@@ -69,7 +87,17 @@ def running(
     stdout: Output = None,
     stderr: Output = None,
 ) -> Iterator['subprocess.Popen[str]']:
-    """A program that runs while the block does, and is asked to end behind it, then made to."""
+    """Run a program while the block runs; behind it, it is asked to end, then made to.
+
+    Args:
+        command: program and arguments.
+        environment: its environment variables.
+        stdout: where its output goes.
+        stderr: where its errors go.
+
+    Yields:
+        The process, without input.
+    """
     process = subprocess.Popen(
         command,
         env=environment,

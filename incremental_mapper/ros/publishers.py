@@ -37,7 +37,12 @@ WINDOW_DEPTH = 100
 
 
 def reliable(depth: int, latched: bool = False) -> QoSProfile:
-    """Reliable delivery; a late joiner of a latched topic gets the last messages."""
+    """Make the quality of a topic that is delivered reliably.
+
+    Args:
+        depth: messages that wait for a slow reader.
+        latched: a late joiner gets the last ``depth`` messages.
+    """
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
         depth=depth,

@@ -27,11 +27,20 @@ class Saved:
 
 
 def save_map(wanted: Path, mapper: Mapper, drops: Drops, wall: float, facts: InputFacts) -> Saved:
-    """Write the files of ``map`` into ``wanted``, or into ``wanted_2`` and so on where it exists.
+    """Write the files of ``map`` while the mapper may go on afterwards.
 
-    ``drops`` is what was lost before the mapper, ``wall`` the seconds since the first
-    measurement, ``facts`` what stats.json says of the input. Raises OutputError where there is
-    nothing to save or the folder cannot be written.
+    Args:
+        wanted: the folder; where it exists, ``wanted_2`` and so on is made.
+        mapper: what is saved.
+        drops: what was lost before the mapper.
+        wall: seconds since the first measurement.
+        facts: what stats.json says of the input.
+
+    Returns:
+        The folder that was made, with a remark where pictures are missing.
+
+    Raises:
+        OutputError: there is nothing to save, or the folder cannot be written.
     """
     result = mapper.result()
     if not result.clusters:

@@ -49,7 +49,17 @@ _INTERRUPTIBLE = 0.2
 
 @dataclass(frozen=True, slots=True)
 class PlayOptions:
-    """What to play and how; ``wait`` is in seconds, the other times in seconds of the bag."""
+    """What to play and how.
+
+    Attributes:
+        rate: seconds of the bag that are played in a second.
+        loop: play again and again.
+        start: seconds at the beginning of the bag that are left out.
+        duration: seconds of the bag that are played from there; None plays to its end.
+        topics: names of those that are played; none means all.
+        clock: publish the bag's time on /clock.
+        wait: seconds that subscribers have to be found.
+    """
 
     rate: float = 1.0
     loop: bool = False
@@ -100,9 +110,18 @@ class PlayReport:
 
 @contextmanager
 def open_player(path: Path, options: PlayOptions, controls: Controls) -> Iterator['Player']:
-    """A player with a node of its own in a context of its own.
+    """Make a player with a node of its own in a context of its own.
 
-    Raises InputError where the bag cannot be read or has nothing to play, or ROS cannot start.
+    Args:
+        path: a bag, see ``datasets.bag_files``.
+        options: what to play and how.
+        controls: whoever may pause and wants to know how far it is.
+
+    Yields:
+        The player, whose topics are offered.
+
+    Raises:
+        InputError: the bag cannot be read or has nothing to play, or ROS cannot start.
     """
     with Recording(path) as recording:
         context = Context()
