@@ -3,6 +3,7 @@
 import csv
 import json
 import shutil
+import signal
 import sys
 import warnings
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import settings as hypothesis_settings
 
 from incremental_mapper.cli.convert import convert
 from incremental_mapper.cli.main import main
@@ -24,6 +26,14 @@ FILES = {'trajectory.tum', 'map.ply', 'graph.g2o', 'graph.json', 'windows.csv', 
 UNCOUNTED = {'bad_line', 'bad_name'}
 """Reasons of lines and files that never were a measurement, which inputs do not announce."""
 LIGHT_SECONDS = 2.3
+
+# Under nohup, or in the background of a script, Ctrl-C is ignored, and would be in every program
+# that a test starts. A handler is not inherited: programs start with what is usual.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+
+# The same examples in every run: what fails fails again.
+hypothesis_settings.register_profile('same', derandomize=True, database=None)
+hypothesis_settings.load_profile('same')
 
 
 @dataclass(frozen=True)
