@@ -2,6 +2,7 @@
 
 from decimal import Decimal
 
+import gtsam
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,7 +10,13 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from incremental_mapper.errors import InputError
-from incremental_mapper.trajectory import Trajectory, from_matrices, read_tum, write_tum
+from incremental_mapper.trajectory import (
+    Trajectory,
+    fit_rigid,
+    from_matrices,
+    read_tum,
+    write_tum,
+)
 
 SECOND = 1_000_000_000
 EPOCH = 1_544_676_777_123_456_789
@@ -206,3 +213,29 @@ def test_missing_and_binary_files_are_named(tmp_path):
         with pytest.raises(InputError, match='cannot be read') as caught:
             read_tum(path)
         assert str(path) in str(caught.value)
+
+
+@given(st.integers(0, 10_000), st.integers(4, 60), st.sampled_from([0.0, 0.1, 30.0]))
+def test_rigid_fit_is_the_one_of_gtsam(seed, count, noise):
+    rng = np.random.default_rng(seed)
+    points = rng.normal(scale=50.0, size=(count, 3))
+    pose = gtsam.Pose3.Expmap(rng.normal(size=6)).matrix()
+    targets = points @ pose[:3, :3].T + pose[:3, 3] + rng.normal(scale=noise, size=points.shape)
+    wanted = gtsam.Pose3.Align(np.asfortranarray(targets.T), np.asfortranarray(points.T))
+    assert fit_rigid(points, targets) == pytest.approx(wanted.matrix(), abs=1e-9)
+
+
+@given(st.integers(0, 10_000), st.sampled_from(['one', 'two', 'coincident', 'line']))
+def test_rigid_fit_leaves_no_error_where_many_fit(seed, kind):
+    rng = np.random.default_rng(seed)
+    points = rng.normal(scale=50.0, size=({'one': 1, 'two': 2}.get(kind, 9), 3))
+    if kind == 'coincident':
+        points[:] = points[0]
+    elif kind == 'line':
+        points = points[0] + np.outer(np.arange(9.0), points[1])
+    pose = gtsam.Pose3.Expmap(rng.normal(size=6)).matrix()
+    targets = points @ pose[:3, :3].T + pose[:3, 3]
+    fitted = fit_rigid(points, targets)
+    assert points @ fitted[:3, :3].T + fitted[:3, 3] == pytest.approx(targets, abs=1e-8)
+    assert fitted[:3, :3] @ fitted[:3, :3].T == pytest.approx(np.eye(3), abs=1e-12)
+    assert np.linalg.det(fitted[:3, :3]) == pytest.approx(1.0)
