@@ -20,7 +20,8 @@ from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.measurements import FixStatus, GnssFix, ImuSample, LidarScan, Measurement
 from incremental_mapper.results.graph_json import graph_tree
 from incremental_mapper.visualization.figure import Look, new_figure, save
-from incremental_mapper.visualization.graph_picture import Shown, add_graph_legend, paint_graph
+from incremental_mapper.visualization.graph_legend import add_graph_legend
+from incremental_mapper.visualization.graph_picture import Shown, paint_graph
 
 MS = 1_000_000
 START = 1_544_581_126_000 * MS

@@ -21,6 +21,7 @@ from incremental_mapper.visualization.figure import (
     save,
     title,
 )
+from incremental_mapper.visualization.graph_legend import add_graph_legend, sensor_colours
 from incremental_mapper.visualization.graph_view import (
     Record,
     first_stamp,
@@ -194,7 +195,7 @@ def _make_canvas(
     rows = {
         name: FIRST_SENSOR_ROW - SENSOR_ROW_STEP * row for row, name in enumerate(lidars + others)
     }
-    colours = _sensor_colours(lidars, others, look.theme)
+    colours = sensor_colours(lidars, others, look.theme)
     pixel = (end_ns - start_ns) / NANOSECONDS / axes_pixels(axes)[0]
     stamps = np.array(sorted(item['stamp_ns'] for item in clusters), dtype=np.int64)
     gaps = np.diff(stamps) / NANOSECONDS / pixel
@@ -207,12 +208,6 @@ def _make_canvas(
         item['key']: (places[item['cluster']], ROWS[item['kind']]) for item in graph['variables']
     }
     return _Canvas(axes, look, origin, pixel, node, places, spots, rows, lidars, colours)
-
-
-def _sensor_colours(lidars: Sequence[str], others: Sequence[str], theme: Theme) -> dict[str, str]:
-    palette = theme.lidars
-    colours = {name: palette[index % len(palette)] for index, name in enumerate(lidars)}
-    return colours | {name: theme.green for name in others}
 
 
 def _draw_samples(canvas: _Canvas, stamps: Sequence[int]) -> None:
@@ -362,59 +357,3 @@ def _finish(canvas: _Canvas, start_ns: int, end_ns: int) -> None:
         axes.axhline(height, color=canvas.theme.grid, linewidth=0.8, zorder=0)
     for side in ('left', 'right', 'top'):
         axes.spines[side].set_visible(False)
-
-
-def graph_legend(graphs: Sequence[Record], theme: Theme) -> list[tuple[str, str, str, str]]:
-    """What pictures of some graphs show.
-
-    Args:
-        graphs: Graphs with the layout of ``graph.json``.
-        theme: The colours of the pictures.
-
-    Returns:
-        For each kind of thing its label, its shape (node, factor or box), its fill and its edge.
-    """
-    kinds = {factor['kind'] for graph in graphs for factor in graph['factors']}
-    lidars = sorted({name for graph in graphs for name in sensor_names(graph)[0]})
-    colours = _sensor_colours(lidars, [], theme)
-    factors = [(f'odometry {name}', colours[name]) for name in lidars]
-    factors += [('IMU', theme.orange)] if 'imu' in kinds else []
-    factors += [('GNSS', theme.green)] if 'gnss' in kinds else []
-    factors += [('prior', theme.ink)] if any(kind.startswith('prior') for kind in kinds) else []
-    factors += [('bridge', theme.grey)] if 'bridge' in kinds else []
-    nodes = [('variable', 'node', theme.node, theme.ink)]
-    if any(unconnected_variables(graph) for graph in graphs):
-        nodes.append(('not connected', 'node', theme.unconnected, theme.unconnected_edge))
-    return [
-        *nodes,
-        *((label, 'factor', colour, colour) for label, colour in factors),
-        ('cluster, even window', 'box', theme.even, theme.edge),
-        ('cluster, odd window', 'box', theme.odd, theme.edge),
-    ]
-
-
-def add_graph_legend(figure: 'Figure', graphs: Sequence[Record], look: Look) -> None:
-    """What the graphs hold, in one row at the bottom of the figure."""
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
-    handles: list[Line2D | Patch] = []
-    for label, shape, fill, edge in graph_legend(graphs, look.theme):
-        if shape == 'box':
-            handles.append(Patch(facecolor=fill, edgecolor=edge, label=label))
-        elif shape == 'factor':
-            handles.append(
-                Line2D([], [], color=fill, marker='s', markersize=7, linewidth=1.6, label=label)
-            )
-        else:
-            handles.append(
-                Line2D(
-                    [], [], linestyle='', marker='o', markersize=11, markerfacecolor=fill,
-                    markeredgecolor=edge, label=label,
-                )
-            )  # fmt: skip
-    figure.legend(
-        handles=handles, loc='lower center', ncols=12, frameon=False, fontsize=look.text - 1,
-        handlelength=1.8, columnspacing=1.4, bbox_to_anchor=(0.5, 0.005),
-        labelcolor=look.theme.ink,
-    )  # fmt: skip

@@ -10,7 +10,8 @@ from incremental_mapper.evaluation.table import BASE
 from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.results.run_folder import FinishedRun
 from incremental_mapper.visualization.figure import PAGE, Look, css_colour, svg_for_page
-from incremental_mapper.visualization.graph_picture import graph_figure, graph_legend
+from incremental_mapper.visualization.graph_legend import graph_legend
+from incremental_mapper.visualization.graph_picture import graph_figure
 from incremental_mapper.visualization.graph_view import unconnected_variables
 from incremental_mapper.visualization.pictures import map_figure, side_figure, trajectory_figure
 
