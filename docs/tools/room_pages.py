@@ -4,6 +4,8 @@ import ast
 from pathlib import Path
 
 PACKAGE = Path(__file__).resolve().parents[2] / 'incremental_mapper'
+FRONT_MATTER = '---\nsearch:\n  boost: 0.2\n---'
+"""Other pages come first in the search."""
 GROUND = 'ground'
 """What the modules beside the rooms are called."""
 
@@ -60,7 +62,7 @@ def api_pages() -> dict[str, str]:
     """A page a room, with all its public names."""
     pages = {}
     for room in [*rooms(), GROUND]:
-        parts = [f'# {room}', door_plate(room)]
+        parts = [FRONT_MATTER, f'# {room}', door_plate(room)]
         for path in modules(room):
             place = path.relative_to(PACKAGE)
             name = '.'.join(['incremental_mapper', *place.with_suffix('').parts])

@@ -12,7 +12,12 @@ from pydantic.fields import FieldInfo
 
 from incremental_mapper.config import Config, Sensor
 
-HEAD = """# Configuration
+HEAD = """---
+search:
+  boost: 3
+---
+
+# Configuration
 
 Every setting, made from the schema (`incremental_mapper/config.py`) when these pages are built.
 The command line and the node share it: `--config FILE` of `map` and `evaluate` takes the same file
