@@ -200,8 +200,9 @@ def test_failed_save_keeps_the_map(start_node, messages, tmp_path, monkeypatch):
     session = start_node()
     session.play(part(messages, 0.8))
     session.finish()
-    monkeypatch.setattr(saving_module, 'map_points', lambda *_: 1 / 0)
+    monkeypatch.setattr(saving_module, 'write_result', lambda *_: 1 / 0)
     assert session.call('save_map') == (False, 'saving failed; the log says how')
+    assert not [path for path in tmp_path.iterdir() if 'saved' in path.name]
     monkeypatch.undo()
     monkeypatch.setattr(saving_module, 'draw_result', lambda *_: 1 / 0)
     assert session.call('save_map')[0], 'without pictures'
