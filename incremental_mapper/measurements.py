@@ -90,9 +90,20 @@ def make_scan(
     point_times: NDArray[np.floating] | None = None,
     min_points: int = 1,
 ) -> LidarScan:
-    """Build a scan from raw points (N, 3); non-finite points and points at the origin are removed.
+    """Build a scan; non-finite points and points at the sensor's origin are removed.
 
-    Raises MeasurementError where fewer than ``min_points`` remain.
+    Args:
+        stamp: Header stamp, ns.
+        sensor: Name of the LiDAR.
+        points: Raw points (N, 3) in the LiDAR's own frame, metres.
+        point_times: Seconds (N,) after ``stamp``, where they are known.
+        min_points: Fewest points that make a scan.
+
+    Returns:
+        The scan, in single precision.
+
+    Raises:
+        MeasurementError: ``points`` are not (N, 3), or fewer than ``min_points`` remain.
     """
     if points.ndim != 2 or points.shape[1] != 3:
         raise MeasurementError(
@@ -134,7 +145,24 @@ def make_fix(
     status: int,
     covariance: NDArray[np.floating] | None,
 ) -> GnssFix:
-    """Build a fix; raises MeasurementError where it holds no usable position."""
+    """Build a fix of the antenna.
+
+    Args:
+        stamp: Header stamp, ns.
+        sensor: Name of the receiver.
+        latitude: Degrees, WGS-84.
+        longitude: Degrees, WGS-84.
+        altitude: Metres above the ellipsoid.
+        status: As in ``sensor_msgs/NavSatStatus``; what is above GBAS counts as GBAS.
+        covariance: Nine numbers in m^2, east, north, up; None, or without positive finite
+            variances, where it is not known.
+
+    Returns:
+        The fix.
+
+    Raises:
+        MeasurementError: The status says that there is no fix, or the position is no place.
+    """
     where = f'{sensor} at {stamp}'
     if status < FixStatus.FIX:
         raise MeasurementError('no_fix', f'{where}: status {status} says there is no fix')
@@ -169,7 +197,21 @@ def make_imu(
     acceleration: NDArray[np.floating],
     orientation: NDArray[np.floating] | None = None,
 ) -> ImuSample:
-    """Build an inertial sample; raises MeasurementError where it is not finite."""
+    """Build an inertial sample.
+
+    Args:
+        stamp: Header stamp, ns.
+        sensor: Name of the IMU.
+        gyro: Angular rate (3,) in the IMU's frame, rad/s.
+        acceleration: Specific force (3,) in the IMU's frame, m/s^2; +9.81 upwards at rest.
+        orientation: Quaternion x, y, z, w of T_enu_imu; left out where its norm is not near 1.
+
+    Returns:
+        The sample.
+
+    Raises:
+        MeasurementError: A rate or an acceleration is not finite.
+    """
     rate = np.asarray(gyro, dtype=np.float64).reshape(3)
     force = np.asarray(acceleration, dtype=np.float64).reshape(3)
     # There are hundreds a second: on plain floats this is several times as quick.

@@ -71,7 +71,14 @@ class Trajectory:
         return Trajectory(stamps, positions, quaternions)
 
     def covers(self, stamps: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Tell which of ``stamps`` (K,), ns, lie between the first and the last pose, (K,)."""
+        """Tell which stamps lie between the first and the last pose.
+
+        Args:
+            stamps: Stamps (K,), ns.
+
+        Returns:
+            True where a stamp lies between them or on one of them, (K,).
+        """
         if len(self) == 0:
             return np.zeros(len(stamps), dtype=np.bool_)
         inside: NDArray[np.bool_] = (stamps >= self.stamps[0]) & (stamps <= self.stamps[-1])

@@ -44,14 +44,25 @@ class _Frame:
 
 
 class Mapper:
-    """The method of the paper, one window after the other.
+    """The method of the paper, one window after the other (Algorithm 1).
 
     Push measurements in any order that ``window.lateness`` allows; every call returns the
-    windows that it completed. ``finish`` closes the rest and returns the whole map.
-    ``sensors`` are the names to wait for from the start.
+    windows that it completed. ``finish`` closes the rest and returns the whole map. Poses are
+    T_map_base: ``map`` is local ENU once the map is georeferenced, ``base_link`` is x forward,
+    y left, z up. One thread at a time may use a mapper.
     """
 
     def __init__(self, config: Config, sensors: Sequence[str] = ()) -> None:
+        """Make ready for the first measurement.
+
+        Args:
+            config: All settings.
+            sensors: Names to wait for from the start; others are waited for once they are seen.
+
+        Raises:
+            ConfigError: The strategy is unknown or cannot be loaded.
+            OutputError: The folder of ``map.store: disk`` cannot be used.
+        """
         self.config = config
         self._strategy = find_strategy(config.selection.strategy)
         self._buffer = WindowBuffer(config.window, sensors)
@@ -78,7 +89,17 @@ class Mapper:
         return self._state
 
     def push(self, measurement: Measurement) -> list[WindowResult]:
-        """Take in a measurement and run the windows that it closed."""
+        """Take in a measurement and run the windows that it closed.
+
+        Args:
+            measurement: A scan, a fix or an inertial sample, with its header stamp.
+
+        Returns:
+            The windows that were closed, oldest first; most often none.
+
+        Raises:
+            OutputError: ``map.store: disk`` has no room left.
+        """
         return list(self.advance(measurement))
 
     def advance(
@@ -86,7 +107,12 @@ class Mapper:
     ) -> Iterator[WindowResult]:
         """As ``push``, one window at a time: ``newest`` then tells of each.
 
-        ``shedding`` limits what is spent on the windows.
+        Args:
+            measurement: A scan, a fix or an inertial sample, with its header stamp.
+            shedding: Limits what is spent on the windows.
+
+        Yields:
+            The windows that were closed, oldest first.
         """
         self._totals.received[measurement.sensor] += 1
         self._buffer.push(measurement)
@@ -100,7 +126,14 @@ class Mapper:
         return list(self.drain())
 
     def drain(self, shedding: LoadShedding = NO_SHEDDING) -> Iterator[WindowResult]:
-        """As ``flush``, one window at a time."""
+        """As ``flush``, one window at a time.
+
+        Args:
+            shedding: Limits what is spent on the windows.
+
+        Yields:
+            The windows that were open, oldest first.
+        """
         self._shedding = shedding
         self._hold(self._buffer.flush())
         while self._held:

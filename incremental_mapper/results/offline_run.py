@@ -196,6 +196,9 @@ def map_source(
         stop: Ends the run early where it is wanted; what was mapped until then is kept.
         observe: Called with each window.
 
+    Returns:
+        The run; nothing is written.
+
     Raises:
         InputError: Nothing of the input could be used.
         KeyboardInterrupt: It was stopped before anything was mapped.

@@ -157,7 +157,14 @@ class FinishedRun:
         self._path(STATISTICS)
 
     def candidates(self, window: int) -> list[dict[str, Any]]:
-        """The rows of one window in candidates.parquet, see ``candidate_table.read_window``."""
+        """The candidates of one window, from ``candidates.parquet``.
+
+        Args:
+            window: Number of the window, from 0.
+
+        Returns:
+            One dictionary a candidate; the columns are told in ``candidate_table``.
+        """
         return read_window(self._path(STATISTICS).with_name(FILE_NAME), window)
 
     def stamp(self, text: str) -> int:

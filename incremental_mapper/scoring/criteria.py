@@ -21,6 +21,7 @@ from incremental_mapper.scoring.mom import (
 
 
 def _no_scans() -> NDArray[np.float64]:
+    """Poses where there is no scan to place."""
     return np.zeros((0, 4, 4))
 
 
@@ -52,7 +53,15 @@ class Criterion(Protocol):
         """What the score is, for the output."""
 
     def scores(self, proposals: Sequence[Proposal]) -> list[float]:
-        """Scores of the candidates, in their order; not comparable between windows."""
+        """Judge the candidates of one window.
+
+        Args:
+            proposals: Connected candidates; what was not solved has no error and no poses.
+
+        Returns:
+            Their scores in their order, the lowest best; not comparable between windows. What is
+            not finite never wins.
+        """
 
 
 @dataclass(frozen=True, slots=True, eq=False)

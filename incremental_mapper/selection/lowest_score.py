@@ -59,6 +59,9 @@ class LowestScore:
         Args:
             name: What the score is, for the output.
             score: Score of a solved candidate; the lowest one wins.
+
+        Returns:
+            The strategy; name it in the entry-point group ``incremental_mapper.strategies``.
         """
         criterion = ByFunction(name, score)
         return cls(lambda *_: criterion)

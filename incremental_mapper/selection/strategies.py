@@ -64,7 +64,11 @@ def find_strategy(name: str) -> Strategy:
 
 
 def strategy_names() -> list[str]:
-    """Names of all strategies that are installed, the paper's four first."""
+    """The strategies that are installed.
+
+    Returns:
+        Their names, the paper's four first.
+    """
     others = {entry.name for entry in entry_points(group=GROUP)} - set(BUILT_IN)
     return [*map(str, BUILT_IN), *sorted(others)]
 

@@ -68,10 +68,17 @@ class WindowProblem:
         return None if frontier.head is None else frontier.head_stamp
 
     def unconnected(self, candidate: Candidate) -> list[list[Cluster]]:
-        """Components of a candidate that do not reach G(t-1), empty where it is connected.
+        """Decide connectivity by union-find, before anything is solved (paper, step 5).
 
         In the first window there is no G(t-1), and the component of the first cluster counts
         as it.
+
+        Args:
+            candidate: One of the window's candidates.
+
+        Returns:
+            The clusters of every component that does not reach G(t-1), both in time order; empty
+            where the candidate is connected.
         """
         return self.partitions.of(candidate).unconnected(candidate)
 
