@@ -52,8 +52,9 @@ PATIENCE = 30.0
 """Seconds beyond three times what the tests take; after that a fault hangs, and is noticed."""
 MEMORY = 8 << 30
 LIBRARIES = (
-    'gtsam hypothesis kiss_icp numba numpy pydantic pymap3d pytest scipy.linalg.lapack '
-    'scipy.spatial.transform small_gicp threadpoolctl yaml'
+    'gtsam hypothesis.strategies kiss_icp.config numba numpy pydantic.main pymap3d pytest '
+    'rosbags.highlevel rosbags.rosbag1 rosbags.rosbag2 scipy.linalg.lapack '
+    'scipy.spatial.transform small_gicp threadpoolctl tqdm yaml'
 )
 FIELDS = ('id', 'room', 'file', 'line', 'function', 'kind', 'before', 'after')
 OUTCOME = ('status', 'test', 'seconds')
@@ -171,13 +172,24 @@ class OneFile(MetaPathFinder):
 def pytest_in_child(work: Path, arguments: list[str], plugin: Any) -> int:
     """Run pytest in this process, whose output goes to a file; returns its exit status."""
     import pytest
+    from hypothesis import Phase, settings
 
+    # To make a failing example smaller takes longer than to find it.
+    phases = (Phase.explicit, Phase.generate)
+    settings.register_profile('faults', phases=phases, derandomize=True, database=None)
     work.mkdir(parents=True, exist_ok=True)
     output = os.open(work / 'output.txt', os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
     for stream in (1, 2):
         os.dup2(output, stream)
     os.chdir(ROOT)
-    common = ['-q', '-p', 'no:cacheprovider', '--no-header', f'--basetemp={work / "tmp"}']
+    common = [
+        '-q',
+        '-p',
+        'no:cacheprovider',
+        '--hypothesis-profile=faults',
+        '--no-header',
+        f'--basetemp={work / "tmp"}',
+    ]
     status = int(pytest.main([*common, *arguments], plugins=[plugin]))
     sys.stdout.flush()
     return status

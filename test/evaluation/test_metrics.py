@@ -125,3 +125,53 @@ def test_what_is_not_known_is_none(run):
     ):
         assert found[ZERO][name] is None, name
     assert motion_metrics(run, None, (), None) == {}
+
+
+UNEVEN = (
+    Segment(ZERO, at(0), at(1.2)),
+    Segment(ACCEL, at(1.2), at(4.1)),
+    Segment(ZERO, at(4.1), at(5.8)),
+)
+
+
+def test_pieces_of_any_length_have_what_is_newest_and_in_the_middle_of_them(tmp_path):
+    # Windows that lie across the ends of pieces, and one factor from the first into the second.
+    windows = [
+        [at(0.5), at(1.7), 2, 1.0, 1.0, 0.1],  # middle 1.1
+        [at(1.0), at(1.6), 2, 2.0, 10.0, 0.2],  # middle 1.3
+        [at(3.5), at(5.0), 2, 4.0, 100.0, 0.4],  # middle 4.25
+    ]
+    run = write_run(tmp_path / 'run', straight(12), [2, 3, 9], windows)
+    graph = run.folder / 'graph.json'
+    tree = json.loads(graph.read_text())
+    tree['factors'] += [{'variables': ['x5', 'x1']}, {'variables': ['x0', 'x10']}]
+    graph.write_text(json.dumps(tree))
+    found = motion_metrics(FinishedRun(run.folder), None, UNEVEN, None)
+    # Poses at 0, 0.5, 1 s; 1.5 to 4 s; 4.5 to 5.5 s.
+    assert (found[ZERO]['clusters'], found[ACCEL]['clusters']) == (6, 6)
+    assert (found[ZERO]['vertices'], found[ACCEL]['vertices']) == (6 + 2, 6 + 1)
+    # The prior and two links; three links and one across; six links and one across.
+    assert (found[ZERO]['factors'], found[ACCEL]['factors']) == (3 + 3 + 1, 6 + 1)
+    assert (found[ZERO]['windows'], found[ACCEL]['windows']) == (2, 1)
+    assert found[ZERO]['solver_error'] == 101.0 and found[ACCEL]['solver_error'] == 10.0
+    assert found[ZERO]['total_time_shift_s'] == 5.0
+    assert found[ZERO]['drive_s'] == pytest.approx(1.2 + 1.5)
+    assert found[ACCEL]['drive_s'] == pytest.approx(0.6)
+    assert found[ZERO]['wall_s'] == pytest.approx(0.5)
+    assert found[ACCEL]['real_time_factor'] == pytest.approx(3.0)
+    assert found[ZERO]['window_median_s'] == pytest.approx(0.25)
+
+
+def test_jump_of_the_truth_between_two_pieces_is_neithers_error(tmp_path):
+    run = write_run(tmp_path / 'run', straight(12), [], [])
+    truth = straight(12)
+    moved = truth.positions.copy()
+    moved[3:, 1] += 5.0  # between the first and the second piece, at 1.2 s
+    moved[11:, 2] += 0.7  # within the last one
+    found = motion_metrics(run, None, UNEVEN, Trajectory(truth.stamps, moved, truth.quaternions))
+    assert found[ACCEL]['rpe_translation_rmse_m'] == pytest.approx(0.0, abs=1e-9)
+    # Two steps in the first piece and two in the last, one of which is wrong.
+    assert found[ZERO]['rpe_translation_rmse_m'] == pytest.approx(np.sqrt(0.7**2 / 4))
+    # The pose before the last has a partner half a second on, which is near enough to a second.
+    per_second = found[ZERO]['rpe_per_second_translation_rmse_m']
+    assert per_second == pytest.approx(np.sqrt(2 * 0.7**2 / 3))

@@ -115,3 +115,42 @@ def test_wrong_guess_of_the_motion_within_a_sweep_is_forgotten(first, last):
 def test_motion_within_a_sweep_stays_where_the_settings_say_so():
     found = sweeps(front_end(deskew=False), 6, -0.1, 0.0)
     assert thickness(found[5], driven_on(5)) > 0.1
+
+
+def leaping(end, times):
+    """Prepared scans of a room that leaps by 3 m from each scan to the next."""
+    prepared = []
+    for seconds in times:
+        away = gtsam.Pose3(gtsam.Rot3(), np.array([30.0 * (seconds - times[0]) + 3.0, 0.0, 0.0]))
+        cloud = room(seed=round(seconds * 10))
+        prepared += end.prepare((scan(seconds, seen_from(away, cloud)),))
+    return prepared
+
+
+def test_motion_is_forgotten_after_three_bad_matches_and_not_before():
+    # Two bad ones, and steady motion again: what was known of it is still believed.
+    end = front_end(max_correspondence=10.0)
+    found = drive(end, [0.0, 0.1, 0.2])
+    found += leaping(end, [0.3, 0.4, 0.5, 0.6, 0.7])
+    # The third bad match in a row: the motion that it was held against may be what is wrong.
+    assert end.notes == {'left: match rejected': 3}
+    linked = [item.previous for item in found[3:]]
+    assert linked == [None, None, None, stamp(0.5), stamp(0.6)]
+    assert found[6].T_previous_current.x() == pytest.approx(3.0, abs=0.1)
+
+
+def test_good_match_makes_up_for_bad_ones_before_it():
+    end = front_end(max_correspondence=10.0)
+    found = drive(end, [0.0, 0.1, 0.2])
+    found += leaping(end, [0.3, 0.4])
+    assert end.notes == {'left: match rejected': 2}
+    after = gtsam.Pose3(gtsam.Rot3(), np.array([6.0, 0.0, 0.0]))
+    for i, seconds in enumerate((0.5, 0.6), 1):
+        pose = after.compose(gtsam.Pose3.Expmap(gtsam.Pose3.Logmap(STEP) * i))
+        found += end.prepare((scan(seconds, seen_from(pose, room(seed=20 + i))),))
+    assert [item.previous for item in found[5:]] == [stamp(0.4), stamp(0.5)]
+    assert_close(found[6].T_previous_current, STEP, 0.05, 0.005)
+    # The count began anew: two more bad ones leave the motion known.
+    again = leaping(end, [0.7, 0.8])
+    assert [item.previous for item in again] == [None, None]
+    assert end.notes == {'left: match rejected': 4}

@@ -4,16 +4,24 @@ import gtsam
 import numpy as np
 import pymap3d
 import pytest
+import turning_car as car
 from scipy.spatial.transform import Rotation
 
 from incremental_mapper.candidates.model import CoreKind, CoreMeasurement
-from incremental_mapper.config import make_config
 from incremental_mapper.frontend.front_end import PreparedFix
-from incremental_mapper.mapping.georeferencing import agreeing_track
+from incremental_mapper.frontend.imu_preintegration import preintegration_parameters
+from incremental_mapper.geometry import pose_matrix
+from incremental_mapper.graph.factors import FactorKind
+from incremental_mapper.mapping.commit import commit
+from incremental_mapper.mapping.georeferencing import agreeing_track, georeference
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.measurements import FixStatus, GnssFix, ImuSample, LidarScan
-from incremental_mapper.selection.window_problem import fix_spread
+from incremental_mapper.selection.base_graph import BaseGraph
+from incremental_mapper.selection.window_problem import fix_spread, pose_problem
+from incremental_mapper.settings import make_config
+from incremental_mapper.smoothing.batch import make_graph
 from incremental_mapper.smoothing.graph_state import GraphState, PlacedFix
+from incremental_mapper.smoothing.linear_system import Layout
 
 SECOND = 1_000_000_000
 EPOCH = 1_544_676_777_000_000_000
@@ -165,3 +173,144 @@ def test_fix_is_trusted_the_less_the_further_it_is_from_the_first_while_the_yaw_
     assert fix_spread(known, items) == {1: pytest.approx(1.0), 2: pytest.approx(3.0)}
     assert fix_spread(GraphState(georeferenced=True), items) == {}
     assert fix_spread(GraphState(), []) == {}
+
+
+# What is turned, on a graph whose every number is known.
+
+TURNED = gtsam.Pose3(gtsam.Rot3.Yaw(1.1), np.array([12.0, -30.0, 4.0]))
+"""T_enu_map of the drives below: ENU does not lie in the map as the fixes were first taken to."""
+SECONDS = tuple(range(200, 2000, 200))
+
+
+def enu_fix(stamp):
+    """A fix as the receiver gives it, more precise to the east than to the north."""
+    core = CoreMeasurement(stamp, 'gps', CoreKind.GNSS)
+    antenna = TURNED.transformFrom(car.truth(stamp).transformFrom(car.ARM))
+    return PreparedFix(core, antenna, np.diag([0.04, 0.09, 0.25]) ** 2)
+
+
+def driven_car(lag=0.7):
+    """G(t) of a turning car whose map is not ENU yet, with a hole in the IMU on the way."""
+    graph = {'lag': lag, 'weak_sigma_position': 0.6}
+    config = car.settings(graph=graph, preintegration={'max_gap': 0.3})
+    parameters = preintegration_parameters(config.preintegration, config.imu.matrix())
+    state = car.known_state()
+    state.enu_offset = None
+    last = 0
+    for number, milliseconds in enumerate(SECONDS):
+        stamp = milliseconds * car.MS
+        items = [car.scan(stamp, 'left', last), enu_fix(stamp + 20 * car.MS)]
+        last = stamp
+        # No sample around the third window: its chain is carried over from the second.
+        begin = (milliseconds - 230) * car.MS
+        series = car.imu_series(begin, stamp + 100 * car.MS)
+        if number == 2:
+            series = series.since(stamp + 1)
+        problem = pose_problem(items, state, series, None, parameters, config)
+        commit(state, number, BaseGraph().select(problem), problem)
+    return state, config
+
+
+def test_everything_is_turned_into_enu_and_fixes_count_in_full():
+    state, config = driven_car()
+    before = {key: factor for key, factor in enumerate(state.factors)}
+    velocity_before = state.last_velocity
+    arms = [fix.lever_arm for fix in state.fixes]
+    assert not state.georeferenced
+    assert {FactorKind.CONSTANT_VELOCITY, FactorKind.PRIOR_VELOCITY, FactorKind.PRIOR_POSE} <= {
+        factor.kind for factor in before.values()
+    }
+    assert georeference(state, config)
+    assert state.georeferenced and state.enu_offset.tolist() == [0.0] * 3
+    assert not georeference(state, config)
+
+    turn = TURNED.rotation()
+    for placed in state.clusters:
+        expected = TURNED.compose(car.truth(placed.cluster.stamp))
+        car.assert_poses(state.pose(placed.id), expected, 0.1, 0.01)
+        if state.has_inertial(placed.id):
+            expected = turn.rotate(car.velocity(placed.cluster.stamp))
+            assert state.velocity(placed.id) == pytest.approx(expected, abs=0.2)
+    # Turned as it was, not looked up again.
+    assert state.last_velocity == pytest.approx(turn.rotate(velocity_before), abs=0.2)
+    assert np.linalg.norm(state.last_velocity) == pytest.approx(np.linalg.norm(velocity_before))
+
+    assert len(state.factors) == len(before)
+    for place, factor in enumerate(state.factors):
+        old = before[place]
+        assert (factor.kind, factor.keys, factor.stamps, factor.sensor) == (
+            old.kind,
+            old.keys,
+            old.stamps,
+            old.sensor,
+        )
+        if factor.kind is FactorKind.GNSS:
+            seen = enu_fix(factor.stamps[0])
+            assert factor.data['position'] == seen.enu.tolist()
+            assert np.array(factor.data['covariance']) == pytest.approx(seen.covariance)
+            assert factor.data['lever_arm'] == old.data['lever_arm']
+        elif factor.kind is FactorKind.PRIOR_VELOCITY:
+            expected = turn.rotate(np.array(old.data['velocity']))
+            assert factor.data['velocity'] == pytest.approx(expected, abs=0.1)
+            assert factor.data['sigma'] == old.data['sigma']
+        elif factor.kind is FactorKind.CONSTANT_VELOCITY:
+            expected = turn.rotate(np.array(old.data['change']))
+            assert factor.data['change'] == pytest.approx(expected, abs=0.1)
+            assert factor.data['sigma'] == old.data['sigma']
+            assert np.linalg.norm(expected - old.data['change']) > 0.3
+        elif factor.kind is FactorKind.PRIOR_POSE:
+            pose = TURNED.compose(gtsam.Pose3(pose_matrix(old.data['T_map_base'])))
+            found = gtsam.Pose3(pose_matrix(factor.data['T_map_base']))
+            car.assert_poses(found, pose, 0.1, 0.01)
+            # Level stays as well known as it was, the rest is left to the fixes.
+            assert factor.data['sigmas'] == [*old.data['sigmas'][:2], 0.3, 0.6, 0.6, 0.6]
+        else:
+            assert factor is old
+    for fix, arm in zip(state.fixes, arms, strict=True):
+        assert state.factors[fix.factor].kind is FactorKind.GNSS
+        assert fix.lever_arm.tolist() == arm.tolist()
+
+
+def test_newest_part_of_the_turned_graph_still_changes_and_is_as_certain_as_the_graph_says():
+    state, config = driven_car(lag=0.7)
+    assert georeference(state, config)
+    newest = state.frontier.newest_stamp
+    recent = {c.id for c in state.clusters if c.cluster.stamp >= newest - 700 * car.MS}
+    assert set(state.prior.clusters) == recent
+    assert set(state.prior.keys) <= state.frontier.keys()
+    whole = state.all_values()
+    graph = make_graph(factor.factor for factor in state.factors)
+    keys = sorted(whole.keys())
+    ordering = gtsam.Ordering()
+    for key in keys:
+        ordering.push_back(key)
+    information, _ = graph.linearize(whole).hessian(ordering)
+    scale = 1.0 / np.sqrt(np.diag(information))
+    covariance = np.linalg.inv(information * scale * scale[:, None]) * scale * scale[:, None]
+    columns = Layout(keys)
+    for key in state.prior.keys:
+        own = columns.columns([key])
+        expected = covariance[np.ix_(own, own)]
+        apart = np.abs(state.prior.covariance(key) - expected).max()
+        assert apart <= 0.02 * np.abs(expected).max()
+
+
+def test_too_few_fixes_or_too_short_a_track_turn_nothing():
+    state, config = driven_car()
+    fixes = list(state.fixes)
+    state.fixes[:] = fixes[:1]
+    assert not georeference(state, config)
+    state.fixes[:] = fixes
+    far = car.settings(fixes={'min_distance': 1000.0})
+    assert not georeference(state, far)
+    assert not state.georeferenced
+
+
+def test_only_the_newest_fixes_are_looked_at():
+    # A car that stood for long: 45 fixes in one place, none of which tells the yaw.
+    state, config = driven_car()
+    moving = list(state.fixes)
+    state.fixes[:] = [*moving, *([moving[0]] * 40)]
+    assert not georeference(state, config)
+    state.fixes[:] = [*moving, *([moving[0]] * 38)]
+    assert georeference(state, config)

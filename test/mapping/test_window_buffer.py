@@ -318,3 +318,68 @@ def test_imu_after_the_last_scan_is_handed_out_by_flush():
 
 def test_flush_of_an_empty_buffer_gives_nothing():
     assert buffer().flush() == []
+
+
+def leapt(sensor, milliseconds):
+    return measurement(sensor, 3_600_000 + milliseconds)
+
+
+def test_witnesses_of_a_leap_are_in_their_windows_and_others_may_still_join_them():
+    # All witnesses are of one sensor, the last ones in later windows than the first: the other
+    # sensor has not passed the first window yet.
+    sink = buffer(('left', 'gps'))
+    for item in (measurement(*key) for key in [('left', 0), ('gps', 20), ('left', 100)] * 2):
+        sink.push(item)
+    for t in (0, 120, 240, 330, 450):
+        sink.push(leapt('left', t))
+        sink.pop_ready()
+    for t in (50, 130, 600):
+        sink.push(leapt('gps', t))
+    windows = contents(sink.flush())
+    later = [
+        (start - 3_600_000, [(t - 3_600_000, sensor) for t, sensor in core])
+        for start, _, core, _ in windows
+        if start > 3_000_000
+    ]
+    assert later == [
+        (0, [(0, 'left'), (50, 'gps')]),
+        (100, [(120, 'left'), (130, 'gps')]),
+        (200, [(240, 'left')]),
+        (300, [(330, 'left')]),
+        (400, [(450, 'left')]),
+        (600, [(600, 'gps')]),
+    ]
+    assert ('left', 'late') not in sink.drops and ('gps', 'late') not in sink.drops
+
+
+@pytest.mark.parametrize(('ahead', 'leap'), [(10_000, False), (10_001, True)])
+def test_stamp_more_than_ten_seconds_ahead_is_a_leap(ahead, leap):
+    sink = buffer(('left',))
+    for t in range(0, 100, 10):
+        sink.push(measurement('left', t))
+    sink.push(measurement('left', 90 + ahead))
+    sink.push(measurement('left', 100))
+    sink.flush()
+    assert sink.drops == ({('left', 'stamp_leap'): 1} if leap else {})
+
+
+def test_five_witnesses_in_a_row_prove_a_leap_and_four_do_not():
+    for count, believed in ((4, False), (5, True)):
+        sink = buffer(('left',))
+        for t in range(0, 100, 10):
+            sink.push(measurement('left', t))
+        for t in range(count):
+            sink.push(leapt('left', 10 * t))
+        sink.push(leapt('left', 100) if believed else measurement('left', 100))
+        sink.flush()
+        assert sink.drops == ({} if believed else {('left', 'stamp_leap'): 4})
+        # One that comes in between says that the others were wrong.
+        sink = buffer(('left',))
+        for t in range(0, 100, 10):
+            sink.push(measurement('left', t))
+        for t in range(count):
+            sink.push(leapt('left', 10 * t))
+            if t == 1:
+                sink.push(measurement('left', 95))
+        sink.flush()
+        assert sum(sink.drops.values()) == count
