@@ -23,7 +23,7 @@ import numpy as np
 from long_drive import RepeatedDrive
 
 import incremental_mapper.mapping.mapper as mapper_module
-from incremental_mapper.config import Config, Tree, make_config, merge, read_yaml
+from incremental_mapper.config import Config, Tree
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.datasets.simulated.folder import simulate
 from incremental_mapper.datasets.simulated.options import MotionKind, SimulationOptions
@@ -34,6 +34,7 @@ from incremental_mapper.measurements import LidarScan, Measurement
 from incremental_mapper.results.offline_run import effective_config, map_source
 from incremental_mapper.selection.selector import Choice, choose
 from incremental_mapper.selection.window_problem import Task
+from incremental_mapper.settings import make_config, merge, read_yaml
 
 SEED = 3
 START_UP = 3.0

@@ -40,7 +40,6 @@ from node_runs import PATIENCE, Drive, NodeRun, lost_table, make_drive, node_run
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu, NavSatFix, PointCloud2
 
-from incremental_mapper.config import make_config, merge, read_yaml
 from incremental_mapper.datasets.bag_files import open_bag
 from incremental_mapper.errors import InputError, MapperError
 from incremental_mapper.mapping.window_buffer import WindowBuffer
@@ -53,6 +52,7 @@ from incremental_mapper.measurements import (
     Measurement,
 )
 from incremental_mapper.ros.client import Heard
+from incremental_mapper.settings import make_config, merge, read_yaml
 
 KINDS = {'imu': Imu, 'gnss': NavSatFix}
 ONE_POINT = np.ones((1, 3), dtype=np.float32)

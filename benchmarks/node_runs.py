@@ -9,7 +9,6 @@ from shutil import rmtree
 from typing import Any
 
 from incremental_mapper.cli.convert import convert
-from incremental_mapper.config import read_yaml
 from incremental_mapper.datasets.bags import SETTINGS_FILE
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.datasets.simulated.folder import simulate
@@ -23,6 +22,7 @@ from incremental_mapper.ros.programs import (
     player_command,
     running,
 )
+from incremental_mapper.settings import read_yaml
 
 SEED = 5
 PATIENCE = 600.0

@@ -25,12 +25,12 @@ import small_gicp
 import yaml
 from kiss_icp.kiss_icp import KissICP
 
-from incremental_mapper.config import merge, read_yaml
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.frontend.front_end import FrontEnd
 from incremental_mapper.frontend.lidar_odometry import PreparedScan
 from incremental_mapper.measurements import NANOSECONDS, LidarScan
 from incremental_mapper.results.offline_run import effective_config
+from incremental_mapper.settings import merge, read_yaml
 from incremental_mapper.trajectory import Trajectory
 
 SPIN = 2.0 * np.pi * 10.0

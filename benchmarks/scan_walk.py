@@ -72,8 +72,9 @@ def points_of(result: Any, config: Any) -> Any:
 def follow(bag: Path, window: int, out: Path) -> Walk:
     """Map ``bag`` up to a window, then trace one scan from its message to the saved files."""
     open_source = find('datasets.open:open_source')
-    read_yaml = find('config:read_yaml')
-    make_config, merge = find('config:make_config'), find('config:merge')
+    read_yaml = find('settings:read_yaml', 'config:read_yaml')
+    make_config = find('settings:make_config', 'config:make_config')
+    merge = find('settings:merge', 'config:merge')
     mapper_class = find('mapper.mapper:Mapper', 'mapping.mapper:Mapper')
     write = find('mapper.output:write_result', 'results.run_folder:write_result')
     # In one process, so that the whole walk is seen.

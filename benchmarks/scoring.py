@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from incremental_mapper.config import Config, MomSettings, read_yaml
+from incremental_mapper.config import Config, MomSettings
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.datasets.source import Source
 from incremental_mapper.mapping.mapper import Mapper
@@ -28,6 +28,7 @@ from incremental_mapper.results.offline_run import effective_config
 from incremental_mapper.scoring.mom import LocalMap, choose_query_points, direct_score, fast_scores
 from incremental_mapper.selection import window_problem
 from incremental_mapper.selection.local_map import LocalMapBuilder
+from incremental_mapper.settings import read_yaml
 
 METRES, RADIANS = 0.01, 5e-4
 REGRET = 0.005

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 import pymap3d
 
-from incremental_mapper.config import make_config
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.measurements import FixStatus, GnssFix, ImuSample, LidarScan, Measurement
 from incremental_mapper.results.graph_json import graph_tree
+from incremental_mapper.settings import make_config
 from incremental_mapper.visualization.figure import Look, new_figure, save
 from incremental_mapper.visualization.graph_legend import add_graph_legend
 from incremental_mapper.visualization.graph_picture import Shown, paint_graph

@@ -20,7 +20,6 @@ from pathlib import Path
 from nav_msgs.msg import Path as PathMessage
 from sensor_msgs.msg import PointCloud2
 
-from incremental_mapper.config import read_yaml
 from incremental_mapper.datasets.bags import SETTINGS_FILE
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.errors import InputError, MapperError
@@ -35,6 +34,7 @@ from incremental_mapper.ros.programs import (
     running,
 )
 from incremental_mapper.ros.publishers import reliable
+from incremental_mapper.settings import read_yaml
 
 ATTEMPTS = 3
 """So often the bag is played, each time at half the rate, until the node keeps up."""

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from incremental_mapper.candidates.model import Candidate, Cluster, Connection, CoreMeasurement
-    from incremental_mapper.config import Config, load_config
+    from incremental_mapper.config import Config
     from incremental_mapper.datasets.open import open_source
     from incremental_mapper.datasets.source import Source
     from incremental_mapper.errors import (
@@ -43,13 +43,14 @@ if TYPE_CHECKING:
     from incremental_mapper.selection.lowest_score import LowestScore
     from incremental_mapper.selection.strategies import Strategy, find_strategy, strategy_names
     from incremental_mapper.selection.window_problem import WindowProblem
+    from incremental_mapper.settings import load_config
     from incremental_mapper.trajectory import Trajectory, read_tum, write_tum
 
 __version__ = '0.1.0'
 
 _ROOMS = {
     'candidates.model': ('Candidate', 'Cluster', 'Connection', 'CoreMeasurement'),
-    'config': ('Config', 'load_config'),
+    'config': ('Config',),
     'datasets.open': ('open_source',),
     'datasets.source': ('Source',),
     'errors': ('ConfigError', 'InputError', 'MapperError', 'MeasurementError', 'OutputError'),
@@ -73,6 +74,7 @@ _ROOMS = {
     'selection.lowest_score': ('LowestScore',),
     'selection.strategies': ('Strategy', 'find_strategy', 'strategy_names'),
     'selection.window_problem': ('WindowProblem',),
+    'settings': ('load_config',),
     'trajectory': ('Trajectory', 'read_tum', 'write_tum'),
 }
 _HOME = {name: room for room, names in _ROOMS.items() for name in names}

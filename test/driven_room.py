@@ -3,9 +3,10 @@
 import gtsam
 import numpy as np
 
-from incremental_mapper.config import OdometryMethod, make_config
+from incremental_mapper.config import OdometryMethod
 from incremental_mapper.frontend.front_end import FrontEnd
 from incremental_mapper.measurements import LidarScan
+from incremental_mapper.settings import make_config
 
 SECOND = 1_000_000_000
 EPOCH = 1_544_676_777_000_000_000

@@ -27,7 +27,6 @@ from sensor_msgs.msg import Imu, NavSatFix, PointCloud2
 from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import MarkerArray
 
-from incremental_mapper.config import merge, read_yaml
 from incremental_mapper.datasets.bags import SETTINGS_FILE
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.measurements import NANOSECONDS
@@ -37,6 +36,7 @@ from incremental_mapper.results.run_folder import FinishedRun
 from incremental_mapper.ros.node import MapperNode
 from incremental_mapper.ros.programs import free_domain
 from incremental_mapper.ros.result_messages import read_status
+from incremental_mapper.settings import merge, read_yaml
 
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
 

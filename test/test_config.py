@@ -2,16 +2,9 @@
 
 import pytest
 
-from incremental_mapper.config import (
-    Config,
-    Strategy,
-    make_config,
-    merge,
-    read_yaml,
-    to_tree,
-    write_ros_yaml,
-)
+from incremental_mapper.config import Config, Strategy
 from incremental_mapper.errors import ConfigError
+from incremental_mapper.settings import make_config, merge, read_yaml, to_tree, write_ros_yaml
 
 PLAIN = """
 lidars:

@@ -9,7 +9,6 @@ import numpy as np
 from hypothesis import strategies as st
 
 from incremental_mapper.candidates.model import Cluster, CoreKind, CoreMeasurement
-from incremental_mapper.config import make_config
 from incremental_mapper.frontend.front_end import PreparedFix
 from incremental_mapper.frontend.imu_preintegration import ImuSeries, preintegration_parameters
 from incremental_mapper.frontend.lidar_odometry import PreparedScan
@@ -17,6 +16,7 @@ from incremental_mapper.geometry import transform_points
 from incremental_mapper.graph.factors import bias_prior, pose_prior, pose_sigmas, velocity_prior
 from incremental_mapper.graph.frontier import Frontier
 from incremental_mapper.selection.window_problem import pose_problem
+from incremental_mapper.settings import make_config
 from incremental_mapper.smoothing.graph_state import GraphState, PlacedCluster, PlacedScan
 from incremental_mapper.smoothing.marginal_prior import MarginalPrior
 from incremental_mapper.smoothing.smoother import smoother_update

@@ -26,10 +26,11 @@ from itertools import pairwise
 from pathlib import Path
 
 from incremental_mapper.cli.main import COMMANDS, make_parser
-from incremental_mapper.config import Config, Section, Sensor, make_config, read_yaml
+from incremental_mapper.config import Config, Section, Sensor
 from incremental_mapper.datasets.bags import SETTINGS_FILE
 from incremental_mapper.errors import ConfigError
 from incremental_mapper.selection.strategies import GROUP, strategy_names
+from incremental_mapper.settings import make_config, read_yaml
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = 'incremental_mapper'

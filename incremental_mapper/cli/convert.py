@@ -10,7 +10,6 @@ from typing import Any
 import yaml
 from tqdm import tqdm
 
-from incremental_mapper.config import write_ros_yaml
 from incremental_mapper.datasets.bag_writer import TOPICS, BagWriter, bag_settings, with_truth
 from incremental_mapper.datasets.bags import SETTINGS_FILE
 from incremental_mapper.datasets.kaist_files import Recording, read_recording
@@ -18,6 +17,7 @@ from incremental_mapper.datasets.topics import TRUTH_TOPIC
 from incremental_mapper.datasets.truth import find_truth
 from incremental_mapper.errors import MeasurementError, OutputError
 from incremental_mapper.measurements import NANOSECONDS, Drops
+from incremental_mapper.settings import write_ros_yaml
 
 METADATA = 'metadata.yaml'
 

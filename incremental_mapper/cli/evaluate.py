@@ -11,7 +11,7 @@ from typing import Any
 from tqdm import tqdm
 
 from incremental_mapper.cli import exit_status
-from incremental_mapper.config import Tree, make_config, merge, read_yaml
+from incremental_mapper.config import Tree
 from incremental_mapper.datasets.open import read_truth
 from incremental_mapper.errors import ConfigError
 from incremental_mapper.evaluation.campaign import Plan, evaluate, prepare_out_dir, unfinished
@@ -21,6 +21,7 @@ from incremental_mapper.evaluation.table_files import Reference, read_csv, write
 from incremental_mapper.evaluation.table_text import plain_table
 from incremental_mapper.evaluation.workers import ClusterWorkers, LocalWorkers, Workers
 from incremental_mapper.selection.strategies import strategy_names
+from incremental_mapper.settings import make_config, merge, read_yaml
 
 STRATEGIES = 'base,mom,min_time_shift,min_solver_error'
 DEFAULT_WIDTH = 100

@@ -8,11 +8,12 @@ from typing import Any
 from tqdm import tqdm
 
 from incremental_mapper.cli import exit_status
-from incremental_mapper.config import Tree, merge, read_yaml
+from incremental_mapper.config import Tree
 from incremental_mapper.results.offline_run import Stop, map_into, open_drive
 from incremental_mapper.results.run_folder import prepare_folder
 from incremental_mapper.results.summary import summary
 from incremental_mapper.selection.strategies import strategy_names
+from incremental_mapper.settings import merge, read_yaml
 
 
 def add_parser(subparsers: Any) -> None:

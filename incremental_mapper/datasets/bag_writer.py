@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from incremental_mapper.config import Tree, merge
+from incremental_mapper.config import Tree
 from incremental_mapper.datasets.kaist import extrinsic_settings
 from incremental_mapper.datasets.kaist_files import LIDARS, Recording, Table, fix_parts, imu_parts
 from incremental_mapper.datasets.topics import CLOUD, FIX, IMU, ODOMETRY, TRUTH_TOPIC
 from incremental_mapper.measurements import NANOSECONDS
+from incremental_mapper.settings import merge
 from incremental_mapper.trajectory import Trajectory
 
 TOPICS = {

@@ -10,7 +10,7 @@ import numpy as np
 from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
 
-from incremental_mapper.config import Tree, make_config, merge, read_yaml
+from incremental_mapper.config import Tree
 from incremental_mapper.datasets.bag_files import Topic, bag_files, open_bag
 from incremental_mapper.datasets.message_conversion import (
     describe_times,
@@ -25,6 +25,7 @@ from incremental_mapper.datasets.topics import TopicChoice, choose_topics, find_
 from incremental_mapper.datasets.truth import find_truth
 from incremental_mapper.errors import InputError, MeasurementError
 from incremental_mapper.measurements import NANOSECONDS, Drops, Measurement
+from incremental_mapper.settings import make_config, merge, read_yaml
 from incremental_mapper.trajectory import Trajectory
 
 SETTINGS_FILE = 'incremental_mapper.yaml'

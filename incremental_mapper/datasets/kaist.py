@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from incremental_mapper.config import Config, Sensor, Tree, make_config, merge
+from incremental_mapper.config import Config, Sensor, Tree
 from incremental_mapper.datasets.kaist_files import (
     LIDARS,
     Recording,
@@ -30,6 +30,7 @@ from incremental_mapper.measurements import (
     make_imu,
     make_scan,
 )
+from incremental_mapper.settings import make_config, merge
 from incremental_mapper.trajectory import Trajectory
 
 

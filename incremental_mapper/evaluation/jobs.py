@@ -6,12 +6,13 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
-from incremental_mapper.config import Tree, merge
+from incremental_mapper.config import Tree
 from incremental_mapper.errors import MapperError, OutputError
 from incremental_mapper.evaluation import cache
 from incremental_mapper.evaluation.workers import stop_of_this_process
 from incremental_mapper.results.offline_run import map_into, open_drive
 from incremental_mapper.results.run_folder import prepare_folder
+from incremental_mapper.settings import merge
 from incremental_mapper.trajectory import Trajectory, write_tum
 
 FAILURE_FILE = 'failure.txt'

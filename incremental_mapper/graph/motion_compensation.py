@@ -25,10 +25,10 @@ class MotionCompensation:
         """Nothing is computed before it is asked for.
 
         Args:
-            start: State to reckon from, that of the cluster of G(t-1) to connect from.
+            start: State to start from, that of the cluster of G(t-1) to connect from.
             series: IMU samples of the window.
             parameters: Noise and gravity of the pre-integration.
-            max_gap: Longest hole in the samples, ns, that is reckoned across by the IMU.
+            max_gap: Longest hole in the samples, ns, that the IMU may be used across.
             enabled: Whether members are moved; else every offset is the identity.
         """
         self._start = start

@@ -74,5 +74,5 @@ class BaseCount:
 
     @property
     def total_factors(self) -> int:
-        """All factors, priors included, without the weak priors of loose components."""
+        """All factors with priors, but for those that hold unconnected components."""
         return sum(self.factors.values())

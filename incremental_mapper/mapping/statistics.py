@@ -7,13 +7,14 @@ from dataclasses import astuple, dataclass, field, fields
 from typing import Any
 
 from incremental_mapper.candidates.model import CoreMeasurement
-from incremental_mapper.config import Config, Tree, to_tree
+from incremental_mapper.config import Config, Tree
 from incremental_mapper.frontend.gnss import Datum
 from incremental_mapper.graph.factors import FactorKind
 from incremental_mapper.mapping.base_count import BaseCount
 from incremental_mapper.measurements import NANOSECONDS, Drops
 from incremental_mapper.scoring.verification import Verification, verification_summary
 from incremental_mapper.selection.choice import Choice
+from incremental_mapper.settings import to_tree
 from incremental_mapper.smoothing.graph_state import GraphState
 
 STAGES = ('front_end', 'candidates', 'solve', 'score', 'append')

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from incremental_mapper.config import Config, Tree, make_config, merge, read_yaml
+from incremental_mapper.config import Config, Tree
 from incremental_mapper.datasets.open import open_source, read_truth
 from incremental_mapper.datasets.source import Source
 from incremental_mapper.errors import InputError
@@ -26,6 +26,7 @@ from incremental_mapper.results.candidate_table import FILE_NAME, MISSING, candi
 from incremental_mapper.results.run_folder import draw_result, prepare_folder, write_result
 from incremental_mapper.results.run_statistics import InputFacts, RunStatistics
 from incremental_mapper.results.trajectory_errors import trajectory_errors
+from incremental_mapper.settings import make_config, merge, read_yaml
 from incremental_mapper.trajectory import Trajectory
 
 

@@ -16,8 +16,9 @@ from rcl_interfaces.msg import (
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from incremental_mapper.config import Config, Sensor, Tree, make_config, merge, to_tree
+from incremental_mapper.config import Config, Sensor, Tree
 from incremental_mapper.errors import ConfigError
+from incremental_mapper.settings import make_config, merge, to_tree
 
 CHANGEABLE = (
     'map.publish_period',

@@ -10,10 +10,10 @@ from kaist_folders import make_folder
 from rosbags.highlevel import AnyReader
 
 from incremental_mapper.cli.convert import add_parser, convert
-from incremental_mapper.config import make_config
 from incremental_mapper.datasets.bags import BagSource
 from incremental_mapper.datasets.kaist import KaistSource
 from incremental_mapper.errors import InputError, OutputError
+from incremental_mapper.settings import make_config
 
 
 @pytest.fixture

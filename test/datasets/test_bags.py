@@ -8,11 +8,11 @@ import pytest
 from bag_files import CLOUD, IMU, MS, ODOMETRY, START, TEXT, USUAL, count, write_bag, write_ros1
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
-from incremental_mapper.config import make_config, merge, write_ros_yaml
 from incremental_mapper.datasets.bags import BagSource
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.errors import ConfigError, InputError
 from incremental_mapper.measurements import GnssFix, ImuSample, LidarScan
+from incremental_mapper.settings import make_config, merge, write_ros_yaml
 
 EXPECTED = {'points_left': 4, 'points_right': 4, 'imu': 40, 'gnss': 8}
 

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from driven_room import STEP, assert_close, front_end, poses, room, scan, seen_from, stamp
 
-from incremental_mapper.config import make_config
 from incremental_mapper.frontend.front_end import FrontEnd, PreparedFix
 from incremental_mapper.frontend.lidar_odometry import PreparedScan
 from incremental_mapper.measurements import FixStatus, GnssFix
+from incremental_mapper.settings import make_config
 
 
 def test_each_lidar_is_matched_to_itself():

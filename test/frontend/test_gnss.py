@@ -15,9 +15,9 @@ from incremental_mapper.frontend.gnss import (
     checked_covariance,
 )
 from incremental_mapper.graph.factors import gnss_factor, pose_prior, pose_sigmas
-from incremental_mapper.graph.values import pose_key
 from incremental_mapper.measurements import FixStatus, GnssFix
 from incremental_mapper.smoothing.batch import squared_error
+from incremental_mapper.variables import pose_key
 
 DATUM = Datum(36.5, 127.25, 50.0)
 SETTINGS = GnssSettings()

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from incremental_mapper.config import merge
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.errors import MeasurementError
 from incremental_mapper.frontend.odometry_process import LocalStation, ProcessStation
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.measurements import LidarScan
 from incremental_mapper.results.offline_run import effective_config, map_source
+from incremental_mapper.settings import merge
 
 BASE = {'selection': {'strategy': 'min_time_shift'}, 'odometry': {'method': 'gicp'}}
 

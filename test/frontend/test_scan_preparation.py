@@ -6,9 +6,9 @@ from collections import Counter
 import numpy as np
 from driven_room import STEP, assert_close, drive, poses, room, scan, seen_from
 
-from incremental_mapper.config import make_config
 from incremental_mapper.frontend.front_end import FrontEnd
 from incremental_mapper.frontend.lidar_odometry import ScanPreparer
+from incremental_mapper.settings import make_config
 
 
 def test_coarse_map_takes_nothing_from_the_matching():

@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import incremental_mapper.map.cloud as cloud
-from incremental_mapper.config import make_config
 from incremental_mapper.errors import OutputError
 from incremental_mapper.geometry import pose_matrix, transform_points
 from incremental_mapper.map.store import DiskStore, MemoryStore, make_store
+from incremental_mapper.settings import make_config
 
 
 def voxels(points, size):

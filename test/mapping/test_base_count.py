@@ -8,10 +8,11 @@ import numpy as np
 import pymap3d
 import pytest
 
-from incremental_mapper.config import Strategy, make_config
+from incremental_mapper.config import Strategy
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.measurements import FixStatus, GnssFix, ImuSample, LidarScan
 from incremental_mapper.selection.strategies import strategy_names
+from incremental_mapper.settings import make_config
 
 STAMPS = Path(__file__).resolve().parents[3] / 'shared' / 'data' / 'kaist_timing'
 SEQUENCES = [

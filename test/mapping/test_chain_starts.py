@@ -4,10 +4,11 @@ import numpy as np
 import pymap3d
 import pytest
 
-from incremental_mapper.config import Strategy, make_config
+from incremental_mapper.config import Strategy
 from incremental_mapper.graph.factors import FactorKind
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.measurements import FixStatus, GnssFix, ImuSample, LidarScan
+from incremental_mapper.settings import make_config
 from incremental_mapper.variables import bias_key, velocity_key
 
 MS = 1_000_000

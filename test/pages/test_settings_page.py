@@ -6,7 +6,8 @@ import pytest
 import settings_page
 from pydantic import BaseModel, Field
 
-from incremental_mapper.config import Config, Sensor, to_tree
+from incremental_mapper.config import Config, Sensor
+from incremental_mapper.settings import to_tree
 
 PAGE = settings_page.page()
 

@@ -5,7 +5,6 @@ import sys
 
 import pytest
 
-from incremental_mapper.config import make_config
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.errors import InputError, OutputError
 from incremental_mapper.results import candidate_table
@@ -17,6 +16,7 @@ from incremental_mapper.results.candidate_table import (
     read_window,
 )
 from incremental_mapper.results.offline_run import effective_config, map_source
+from incremental_mapper.settings import make_config
 
 parquet = pytest.importorskip('pyarrow.parquet', reason='pyarrow is not installed (extra "report")')
 MOM = {'mom': {'max_points': 100}}

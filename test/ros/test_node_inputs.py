@@ -26,8 +26,8 @@ from ros_helpers import (
 )
 from sensor_msgs.msg import PointField
 
-from incremental_mapper.config import make_config
 from incremental_mapper.ros.subscriptions import Inputs
+from incremental_mapper.settings import make_config
 
 LEFT, RIGHT, IMU, FIX = '/points_left', '/points_right', '/imu', '/fix'
 

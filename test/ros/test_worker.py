@@ -11,7 +11,6 @@ import pytest
 
 pytest.importorskip('rclpy', reason='rclpy is not installed (extra "ros")')
 
-from incremental_mapper.config import merge
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.results.offline_run import effective_config
@@ -19,6 +18,7 @@ from incremental_mapper.ros import worker as worker_module
 from incremental_mapper.ros.inbox import Command, Order, View
 from incremental_mapper.ros.updates import Reply, Restarted, Trouble, ViewUpdate, WindowUpdate
 from incremental_mapper.ros.worker import Worker
+from incremental_mapper.settings import merge
 
 QUICK = {'selection': {'strategy': 'min_time_shift'}, 'odometry': {'method': 'gicp'}}
 
