@@ -174,6 +174,9 @@ class FinishedRun:
             text: Seconds since the first cluster, or from 1e8 on a stamp in seconds, from 1e15
                 on in nanoseconds.
 
+        Returns:
+            The stamp, ns.
+
         Raises:
             ConfigError: It is no number.
         """
