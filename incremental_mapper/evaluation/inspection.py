@@ -120,7 +120,7 @@ def why(rows: Sequence[Row], cut: bool, strategy: str) -> list[str]:
 
 
 def _told_apart(winner: Row, tied: Sequence[Row]) -> str:
-    """Which of the rules for equal scores decided; they are those of ``selection/``."""
+    """Which of the rules for equal scores decided; they are those of ``selection/selector.py``."""
     vertices, clusters = winner['vertices'], len(winner['clusters'])
     alike = [row for row in tied if row['vertices'] == vertices]
     if not alike:
