@@ -9,7 +9,15 @@ from incremental_mapper.candidates.spans import ImuStamps
 
 
 def upper_bound(count: int, has_head: bool) -> int:
-    """Most candidates that ``count`` elements can make: 3^(N-1) with a head, else half of it."""
+    """Most candidates that a window can have (paper, appendix).
+
+    Args:
+        count: Number of elements N.
+        has_head: Whether G(t-1) has a cluster to connect from.
+
+    Returns:
+        3^(N-1) with such a cluster, else ceil(3^(N-1) / 2); 0 without elements.
+    """
     if count == 0:
         return 0
     power = int(3 ** (count - 1))
@@ -48,11 +56,16 @@ def chains(count: int, has_head: bool) -> Iterator[tuple[int, ...]]:
 def candidates(
     elements: Sequence[Element], head: int | None, imu: ImuStamps
 ) -> Iterator[Candidate]:
-    """Every distinct candidate of a window.
+    """Every distinct candidate of a window (paper, Algorithm 1, steps 3 and 4).
 
-    ``head`` is the stamp of the cluster of G(t-1) to connect from, or None. There are at most
-    3^(N-1) with a head and ceil(3^(N-1) / 2) without one; fewer where steps have no IMU sample,
-    since candidates that came out identical are yielded once.
+    Args:
+        elements: The window's elements in time order.
+        head: Stamp (ns) of the cluster of G(t-1) to connect from, None where there is none.
+        imu: Which IMU samples lie between two stamps.
+
+    Yields:
+        Candidates, partition by partition, the finest first. A step without an IMU sample makes no
+        connection, and candidates that come out identical are yielded once.
     """
     for clusters in partitions(elements):
         seen: set[tuple[Connection, ...]] = set()
@@ -64,7 +77,16 @@ def candidates(
 
 
 def base_candidate(elements: Sequence[Element], head: int | None, imu: ImuStamps) -> Candidate:
-    """The conventional graph: one cluster per element, consecutive connections."""
+    """The conventional graph: one cluster an element, consecutive connections (paper, Base).
+
+    Args:
+        elements: The window's elements in time order.
+        head: Stamp (ns) of the cluster of G(t-1) to connect from, None where there is none.
+        imu: Which IMU samples lie between two stamps.
+
+    Returns:
+        The candidate; it may be unconnected.
+    """
     clusters = tuple(Cluster(part, i, i) for i, part in enumerate(elements))
     start = [] if head is None else [HEAD]
     return connect(clusters, [*start, *range(len(clusters))], head, imu)

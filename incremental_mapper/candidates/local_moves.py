@@ -12,12 +12,20 @@ from incremental_mapper.candidates.spans import ImuStamps
 def neighbours(
     candidate: Candidate, elements: Sequence[Element], head: int | None, imu: ImuStamps
 ) -> Iterator[Candidate]:
-    """Candidates with two clusters merged, one split, or one more or less in the chain.
+    """Candidates that differ from one by a single decision.
 
-    Two more at once where neither alone would be connected to anything.
+    Two clusters merged, one split, one more or less in the chain of connections; two more at once
+    where neither alone would be connected to anything.
 
-    ``head`` is the stamp of the cluster of G(t-1) to connect from, or None. Some may come more
-    than once, or be the candidate itself where a decision makes no difference.
+    Args:
+        candidate: The candidate to start from.
+        elements: The window's elements in time order.
+        head: Stamp (ns) of the cluster of G(t-1) to connect from, None where there is none.
+        imu: Which IMU samples lie between two stamps.
+
+    Yields:
+        Candidates; some may come more than once, or be the candidate itself where a decision makes
+        no difference.
     """
     count = len(candidate.clusters)
     chain = {link.end for link in candidate.connections}

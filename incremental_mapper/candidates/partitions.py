@@ -10,14 +10,26 @@ Element = tuple[CoreMeasurement, ...]
 
 
 def group_elements(core: Iterable[CoreMeasurement]) -> tuple[Element, ...]:
-    """Group core measurements by stamp, in time order."""
+    """Group core measurements by stamp ; the elements are never split.
+
+    Args:
+        core: Core measurements in any order.
+
+    Returns:
+        The elements in time order.
+    """
     return tuple(tuple(group) for _, group in groupby(sorted(core), key=lambda core: core.stamp))
 
 
 def compositions(length: int) -> Iterator[tuple[tuple[int, int], ...]]:
-    """All 2^(length-1) ways of cutting 0..length-1 into runs, as (first, last) positions.
+    """Cut a row of elements into runs, in all 2^(length-1) ways (paper, appendix).
 
-    The finest composition, every element by itself, comes first.
+    Args:
+        length: Number of elements, at least one.
+
+    Yields:
+        The runs of one composition as (first, last) positions. The finest composition, every element
+        by itself, comes first.
     """
     for cuts in range(length - 1, -1, -1):
         for inner in combinations(range(1, length), cuts):
@@ -26,9 +38,16 @@ def compositions(length: int) -> Iterator[tuple[tuple[int, int], ...]]:
 
 
 def make_cluster(elements: Sequence[Element], first: int, last: int) -> Cluster | None:
-    """Cluster of the elements first..last, or None where two scans of one LiDAR would meet.
+    """Merge neighbouring elements into one cluster (paper, Algorithm 1, step 3).
 
-    Their odometry would connect the pose variable with itself, a loop.
+    Args:
+        elements: The window's elements in time order.
+        first: Position of the first element of the cluster.
+        last: Position of its last one.
+
+    Returns:
+        The cluster; None where two scans of one LiDAR would meet: their odometry would connect the
+        pose variable with itself, a loop.
     """
     members = tuple(core for part in elements[first : last + 1] for core in part)
     lidars = [core.sensor for core in members if core.kind is CoreKind.LIDAR]
@@ -38,7 +57,14 @@ def make_cluster(elements: Sequence[Element], first: int, last: int) -> Cluster 
 
 
 def partitions(elements: Sequence[Element]) -> Iterator[tuple[Cluster, ...]]:
-    """All loop-free partitions of a window's elements; at most 2^(N-1)."""
+    """All loop-free partitions of a window (paper, Algorithm 1, step 3).
+
+    Args:
+        elements: The window's elements in time order.
+
+    Yields:
+        The clusters of one partition in time order; at most 2^(N-1) partitions, the finest first.
+    """
     if not elements:
         return
     cache: dict[tuple[int, int], Cluster | None] = {}

@@ -25,7 +25,16 @@ class ImuStamps:
         return int(low), int(high)
 
     def first_sample(self, start: int, end: int) -> int | None:
-        """Stamp of the first sample of a usable span, or None where no connection can be made."""
+        """First sample of the span between two stamps.
+
+        Args:
+            start: Where the span begins, ns.
+            end: Where it ends, ns.
+
+        Returns:
+            Its stamp, ns; None where no connection can be made: there is no sample with
+            start <= stamp < end, or a hole longer than ``max_gap``.
+        """
         if (start, end) not in self._asked:
             self._asked[start, end] = self._first_sample(start, end)
         return self._asked[start, end]

@@ -26,9 +26,19 @@ _Entry: TypeAlias = tuple[
 def by_time_shift(
     elements: Sequence[Element], head: int | None, imu: ImuStamps, may_merge: bool = True
 ) -> Iterator[Candidate]:
-    """Distinct candidates of a window in ascending order of total time shift.
+    """Distinct candidates of a window in ascending order of total time shift, exactly.
 
-    Without ``may_merge`` measurements of different stamps never share a cluster.
+    The shift is Σ cluster ranges + Σ over connections of (first IMU stamp − stamp of the cluster where
+    the connection starts) (paper, Minimum Time Shift).
+
+    Args:
+        elements: The window's elements in time order.
+        head: Stamp (ns) of the cluster of G(t-1) to connect from, None where there is none.
+        imu: Which IMU samples lie between two stamps.
+        may_merge: Whether measurements of different stamps may share a cluster.
+
+    Yields:
+        Candidates, connected or not; stop whenever there are enough.
     """
     length = len(elements)
     if length == 0:

@@ -29,6 +29,12 @@ def normalise(pose: gtsam.Pose3) -> gtsam.Pose3:
     GTSAM keeps rotations as matrices, and takes the transpose for the inverse. Poses that are made
     of each other, window after window, multiply what is wrong with them by rounding: after a
     minute or two it would show as a wrong gravity.
+
+    Args:
+        pose: A pose whose rotation is one up to rounding.
+
+    Returns:
+        The same place, with a rotation in SO(3).
     """
     return gtsam.Pose3(gtsam.Rot3.ClosestTo(pose.rotation().matrix()), pose.translation())
 
@@ -42,7 +48,15 @@ def propagate(
 ) -> State:
     """Carry a state to another stamp: by the IMU where it covers the time, else straight on.
 
-    Where no sample lies between, the nearest one stands for them.
+    Args:
+        state: Pose T_map_base, velocity in the map and IMU bias at a stamp.
+        stamp: Where to carry it, ns; it may lie before the state.
+        series: IMU samples; where none lies between, the nearest one stands for them.
+        parameters: Noise and gravity of the pre-integration.
+        max_gap: Longest hole at either end, ns, that the IMU is used across.
+
+    Returns:
+        The state at ``stamp``.
     """
     samples = series.within(state.stamp, stamp)
     if len(samples.stamps) == 0 and stamp > state.stamp:
@@ -66,11 +80,21 @@ def predict(
     max_gap: int,
     velocity_known: bool,
 ) -> dict[int, State]:
-    """States at the stamps of the core measurements, in time order.
+    """States at the stamps of a window's core measurements: initial values, never measurements.
 
-    ``scan_poses`` are the known poses of earlier scans by (sensor, stamp). A scan with odometry
-    goes where its odometry puts it; everything else follows the state before it. With
-    ``velocity_known`` the velocity of ``start`` is better than what one match says.
+    A scan with odometry goes where its odometry puts it; everything else follows the state before it.
+
+    Args:
+        prepared: Core measurements in time order.
+        start: State to start from.
+        scan_poses: T_map_base at earlier scans, by sensor and stamp (ns).
+        series: IMU samples.
+        parameters: Noise and gravity of the pre-integration.
+        max_gap: Longest hole in the samples, ns, that they are used across.
+        velocity_known: Whether the velocity of ``start`` is better than what one match says.
+
+    Returns:
+        The states by stamp (ns), in time order.
     """
     poses = dict(scan_poses)
     states: dict[int, State] = {}

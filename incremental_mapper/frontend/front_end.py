@@ -60,7 +60,14 @@ class FrontEnd:
                 self._station(name)
 
     def start(self, core: tuple[CoreInput, ...]) -> Preparation:
-        """Begin to prepare a window's core measurements; the unusable are counted."""
+        """Begin to prepare a window's core measurements; fixes that cannot be used are counted.
+
+        Args:
+            core: Scans and fixes in time order; each LiDAR's scans over all calls too.
+
+        Returns:
+            What ``collect`` waits for.
+        """
         began = time.perf_counter()
         items: list[tuple[CoreInput, Future[PreparedScan] | PreparedFix]] = []
         for measurement in core:
@@ -74,7 +81,14 @@ class FrontEnd:
         return Preparation(tuple(items), time.perf_counter() - began)
 
     def collect(self, preparation: Preparation) -> list[Prepared]:
-        """Wait for what was begun; the unusable are counted."""
+        """Wait for what was begun; scans that cannot be used are counted.
+
+        Args:
+            preparation: What ``start`` gave, each of them once and in that order.
+
+        Returns:
+            The usable measurements in time order: scans with their odometry, fixes in local ENU.
+        """
         prepared: list[Prepared] = []
         for measurement, item in preparation.items:
             try:

@@ -20,7 +20,14 @@ class Datum:
     altitude: float
 
     def enu(self, fix: GnssFix) -> NDArray[np.float64]:
-        """Antenna position (3,) east, north, up in metres."""
+        """Move a fix into the local frame.
+
+        Args:
+            fix: A fix of the antenna.
+
+        Returns:
+            Antenna position (3,) east, north, up of the datum, metres.
+        """
         east, north, up = pymap3d.geodetic2enu(
             fix.latitude,
             fix.longitude,
@@ -33,9 +40,17 @@ class Datum:
 
 
 def checked_covariance(fix: GnssFix, settings: GnssSettings) -> NDArray[np.float64]:
-    """Covariance (3, 3) in m^2, ENU, with the settings' floor and default.
+    """Covariance of a fix, with the settings' floor in every direction, or their default.
 
-    Raises MeasurementError where the fix is below the wanted status or too uncertain.
+    Args:
+        fix: A fix of the antenna.
+        settings: Wanted status, floor, limit and default.
+
+    Returns:
+        Covariance (3, 3) in ENU, m^2.
+
+    Raises:
+        MeasurementError: The fix is below the wanted status, or too uncertain.
     """
     where = f'{fix.sensor} at {fix.stamp}'
     if fix.status < settings.min_status:
@@ -61,7 +76,17 @@ def checked_covariance(fix: GnssFix, settings: GnssSettings) -> NDArray[np.float
 def align_track(
     enu: NDArray[np.float64], local: NDArray[np.float64]
 ) -> tuple[float, NDArray[np.float64]]:
-    """Yaw and shift with p_enu ≈ R(yaw) · p_local + shift, by least squares over (K, 3) tracks."""
+    """Yaw and shift between two tracks by least squares; roll and pitch are known by gravity.
+
+    By hand, since GTSAM's Pose3.Align fits all three angles, of which a flat track tells only one.
+
+    Args:
+        enu: Antenna positions (K, 3) by the fixes, metres.
+        local: The same by odometry.
+
+    Returns:
+        Yaw in radians and shift (3,) with p_enu ≈ R(yaw) · p_local + shift.
+    """
     enu_mean, local_mean = enu.mean(axis=0), local.mean(axis=0)
     a, b = enu - enu_mean, local - local_mean
     yaw = float(

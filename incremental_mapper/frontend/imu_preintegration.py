@@ -56,7 +56,15 @@ EMPTY_SERIES = ImuSeries(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros
 def preintegration_parameters(
     settings: ImuSettings, T_base_imu: NDArray[np.float64]
 ) -> gtsam.PreintegrationCombinedParams:
-    """GTSAM parameters with every covariance set; its defaults are the identity."""
+    """GTSAM parameters with every covariance set; its defaults are the identity.
+
+    Args:
+        settings: Noise densities and bias walks; they are never estimated from a few samples.
+        T_base_imu: Pose of the IMU in base_link, (4, 4).
+
+    Returns:
+        The parameters; gravity points down in the map.
+    """
     eye = np.eye(3)
     parameters = gtsam.PreintegrationCombinedParams.MakeSharedU(settings.gravity)
     parameters.setAccelerometerCovariance(eye * settings.accelerometer_noise**2)
@@ -75,10 +83,23 @@ def preintegrate(
     parameters: gtsam.PreintegrationCombinedParams,
     bias: gtsam.imuBias.ConstantBias,
 ) -> gtsam.PreintegratedCombinedMeasurements:
-    """Integrate the whole span from ``start`` to ``end`` (ns) with the samples inside it.
+    """Integrate the whole span between two cluster stamps with the samples inside it.
 
     Each sample stands for the time nearest to it, so the pieces before the first and after the
-    last sample are covered too. Raises ValueError where the span holds no sample.
+    last sample are covered too.
+
+    Args:
+        series: IMU samples.
+        start: Stamp of the cluster where the span begins, ns.
+        end: Stamp of the cluster where it ends, ns.
+        parameters: Noise and gravity of the pre-integration.
+        bias: Bias around which it is linearised.
+
+    Returns:
+        The pre-integrated span.
+
+    Raises:
+        ValueError: The span holds no sample.
     """
     samples = series.within(start, end)
     if len(samples.stamps) == 0:
@@ -110,9 +131,14 @@ def integrate(
 
 
 def level_rotation(acceleration: NDArray[np.float64], yaw: float) -> gtsam.Rot3:
-    """Rotation R_map_base that is level by gravity and has the given yaw in radians.
+    """Rotation that is level by gravity and has a given yaw.
 
-    ``acceleration`` is the mean specific force (3,) in base_link, which points upwards at rest.
+    Args:
+        acceleration: Mean specific force (3,) in base_link, which points upwards at rest, m/s^2.
+        yaw: Yaw in the map, radians.
+
+    Returns:
+        R_map_base; level where the force is too small to tell.
     """
     up = np.asarray(acceleration, dtype=np.float64)
     norm = float(np.linalg.norm(up))

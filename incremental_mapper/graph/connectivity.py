@@ -78,7 +78,14 @@ class Partitions:
         return LOCAL + cluster.first * self._elements + cluster.last
 
     def of(self, candidate: Candidate) -> Partition:
-        """What candidates with these clusters share; enumerations hand on the same tuple."""
+        """What the candidates with these clusters share.
+
+        Args:
+            candidate: A candidate of the window; enumerations hand on the same tuple of clusters.
+
+        Returns:
+            The same object for the same tuple.
+        """
         known = self._made.get(id(candidate.clusters))
         if known is None:
             known = self._made[id(candidate.clusters)] = self._make(candidate.clusters)

@@ -97,7 +97,13 @@ class FactorBuilder:
     def factors(self, candidate: Candidate, since: int = 0) -> list[Factor]:
         """All factors of a candidate except those that hold unconnected components.
 
-        With ``since`` only those that its clusters from that index on bring along.
+        Args:
+            candidate: A candidate of the window.
+            since: Index of the first cluster whose factors are wanted; 0 gives all of them.
+
+        Returns:
+            Odometry and fixes of the clusters' members, then IMU factors of the connections, then what
+            holds velocity and bias where a chain of spans starts, and in the first window the prior.
         """
         partition = self._partitions.of(candidate)
         made: list[Factor] = []
@@ -140,17 +146,29 @@ class FactorBuilder:
         }
 
     def regularising_prior(self, cluster: Cluster) -> Factor:
-        """Holds a component that nothing else connects, at its predicted pose."""
+        """Hold a component that nothing connects, at its predicted pose.
+
+        Args:
+            cluster: A cluster of the component.
+
+        Returns:
+            A weak prior on its pose.
+        """
         graph = self._in.config.graph
         sigmas = pose_sigmas(graph.weak_sigma_position, graph.weak_sigma_rotation)
         pose = self._in.states[cluster.stamp].pose
         return pose_prior(pose_key(self._partitions.number(cluster)), pose, sigmas, cluster.stamp)
 
     def bridge(self, cluster: Cluster, first: Cluster, newest: gtsam.Pose3 | None) -> Factor:
-        """Loosely ties a component to G(t-1) by the predicted motion.
+        """Tie a component loosely to G(t-1), by the predicted motion.
 
-        ``newest`` is the pose of its newest cluster; without a G(t-1) the window's ``first``
-        cluster takes its place.
+        Args:
+            cluster: A cluster of the component.
+            first: The window's first cluster, which takes the place of a G(t-1) that is not there.
+            newest: T_map_base of the newest cluster of G(t-1), None where there is none.
+
+        Returns:
+            A relative pose with large standard deviations.
         """
         graph, frontier = self._in.config.graph, self._in.frontier
         if frontier.newest is None or newest is None:

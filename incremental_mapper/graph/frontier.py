@@ -41,10 +41,17 @@ class Frontier:
 
 
 def chain_start(before: int | None, stamp: int, max_gap: int) -> tuple[FactorKind, FactorKind]:
-    """What holds velocity and bias where a chain of spans starts at ``stamp`` (ns).
+    """What holds velocity and bias where a chain of IMU spans starts.
 
-    ``before`` is the stamp of the last velocity and bias, None if there are none: a bias goes on
-    for ever, a velocity for as long as a span may have a hole, ``max_gap`` ns.
+    A bias goes on for ever, a velocity for as long as a span may have a hole.
+
+    Args:
+        before: Stamp of the last velocity and bias, ns; None where there are none.
+        stamp: Where the chain starts, ns.
+        max_gap: Longest hole in a span, ns.
+
+    Returns:
+        The kind of factor for the velocity, and that for the bias.
     """
     if before is None:
         return FactorKind.PRIOR_VELOCITY, FactorKind.PRIOR_BIAS

@@ -35,7 +35,14 @@ class InitialGuess:
         self._partitions = partitions
 
     def values(self, candidate: Candidate) -> gtsam.Values:
-        """Initial values of the candidate's new variables."""
+        """Initial values of a candidate's new variables, from the predicted states.
+
+        Args:
+            candidate: A candidate of the window.
+
+        Returns:
+            Its poses, and velocity and bias where its connections need them.
+        """
         values = gtsam.Values()
         self.add(candidate, values)
         return values
@@ -46,9 +53,12 @@ class InitialGuess:
         values: gtsam.Values,
         states: Mapping[int, State] | None = None,
     ) -> None:
-        """Insert those of the candidate's new variables that ``values`` lacks.
+        """Insert those of a candidate's new variables that are not there yet.
 
-        They start from the ``states`` at the clusters' stamps, by default the predicted ones.
+        Args:
+            candidate: A candidate of the window.
+            values: Where they are inserted.
+            states: States at the clusters' stamps (ns); by default the predicted ones.
         """
         states = self._states if states is None else states
         inertial = candidate.inertial_clusters
@@ -70,9 +80,16 @@ class InitialGuess:
             insert_bias(values, bias_key(cluster), state.bias)
 
     def warm_start(self, candidate: Candidate, values: gtsam.Values) -> dict[int, State]:
-        """States at the window's stamps, put right by the ``values`` of a solved candidate.
+        """States at the window's stamps, put right by a solved candidate.
 
         Where it has no cluster, a state differs from the predicted one as the nearest does.
+
+        Args:
+            candidate: The candidate that was solved.
+            values: Its solution.
+
+        Returns:
+            States by stamp (ns), from which the next candidates are solved.
         """
         found: dict[int, State] = {}
         solved = {cluster.stamp: self._partitions.number(cluster) for cluster in candidate.clusters}

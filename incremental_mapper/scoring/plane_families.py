@@ -40,7 +40,15 @@ def orthogonal_families(normals: NDArray[np.float64], max_angle: float) -> Famil
 
 
 def spread_positions(count: int, wanted: int) -> NDArray[np.int64]:
-    """Evenly spread positions in 0..count-1, at most ``wanted``; deterministic."""
+    """Evenly spread positions, the same ones every time.
+
+    Args:
+        count: Number of positions 0..count-1 to choose from.
+        wanted: How many are wanted.
+
+    Returns:
+        At most ``wanted`` of them, ascending; all where there are no more.
+    """
     if count <= wanted:
         return np.arange(count)
     if wanted < 2:

@@ -32,14 +32,31 @@ def make_graph(factors: Iterable[gtsam.NonlinearFactor]) -> gtsam.NonlinearFacto
 
 
 def squared_error(factors: Iterable[gtsam.NonlinearFactor], values: gtsam.Values) -> float:
-    """Σ‖h(x)−z‖²_Σ; GTSAM's ``error`` is half of it (paper, Minimum Solver Error)."""
+    """Σ‖h(x)−z‖²_Σ; GTSAM's ``error`` is half of it (paper, Minimum Solver Error).
+
+    Args:
+        factors: Any factors.
+        values: Values of all their variables.
+
+    Returns:
+        The sum, without a unit.
+    """
     return 2.0 * float(sum(factor.error(values) for factor in factors))
 
 
 def optimize(
     graph: gtsam.NonlinearFactorGraph, initial: gtsam.Values, max_iterations: int
 ) -> Solution | None:
-    """Levenberg-Marquardt; None where the result is not finite or the graph cannot be solved."""
+    """Levenberg-Marquardt on a whole graph, by QR.
+
+    Args:
+        graph: The graph.
+        initial: Initial values of all its variables.
+        max_iterations: Of Levenberg-Marquardt.
+
+    Returns:
+        The optimum; None where it is not finite or the graph cannot be solved.
+    """
     parameters = gtsam.LevenbergMarquardtParams()
     parameters.setMaxIterations(max_iterations)
     parameters.setLinearSolverType('MULTIFRONTAL_QR')

@@ -37,7 +37,14 @@ class CandidateSolver:
         self._states: Mapping[int, State] | None = None
 
     def solve(self, candidate: Candidate) -> Solved | None:
-        """The candidate's optimum, as exact as a comparison asks; None where there is none."""
+        """Solve a candidate on top of G(t-1) (paper, Algorithm 1, step 5).
+
+        Args:
+            candidate: A connected candidate.
+
+        Returns:
+            Its optimum, as exact as a comparison asks; None where there is none.
+        """
         self._guess.add(candidate, self._shared.values, self._states)
         made = [factor.factor for factor in self._factors.factors(candidate)]
         solved = self._shared.solve_next(made)
@@ -46,6 +53,14 @@ class CandidateSolver:
         return solved
 
     def refine(self, candidate: Candidate, solved: Solved) -> Solved | None:
-        """The candidate's solution with its true error, as it may be appended."""
+        """Go on from a candidate's optimum until it has truly converged.
+
+        Args:
+            candidate: The winner.
+            solved: What ``solve`` gave for it.
+
+        Returns:
+            The solution with its true error, as it may be appended; None where there is none.
+        """
         made = [factor.factor for factor in self._factors.factors(candidate)]
         return self._shared.refine(solved, made)

@@ -65,7 +65,15 @@ class MarginalPrior:
         return self.base.extract(keys).retract(layout_of(keys).vector_values(step))
 
     def covariance(self, key: int) -> Array | None:
-        """Marginal covariance (d, d) of a frontier variable; None where it is undetermined."""
+        """Marginal covariance of a frontier variable.
+
+        Args:
+            key: One of ``keys``.
+
+        Returns:
+            Covariance (d, d) in the variable's tangent space, for poses rotation first; None where it is
+            undetermined.
+        """
         layout = layout_of(self.keys)
         columns = layout.columns([key])
         unit = np.zeros((layout.size, len(columns)))
@@ -130,7 +138,15 @@ def marginalise(
 
 
 def trimmed(prior: MarginalPrior, eliminated: Collection[int]) -> MarginalPrior:
-    """The prior with no other eliminated variables than these."""
+    """The prior with fewer eliminated variables.
+
+    Args:
+        prior: Any prior.
+        eliminated: Keys of those that stay.
+
+    Returns:
+        The same Gaussian over the same frontier.
+    """
     kept = tuple(key for key in prior.eliminated if key in eliminated)
     rows = layout_of(prior.eliminated).columns(kept)
     return replace(

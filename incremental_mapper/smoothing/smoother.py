@@ -20,9 +20,18 @@ def smoother_update(
     clusters: Mapping[int, int],
     max_iterations: int,
 ) -> tuple[MarginalPrior, float]:
-    """Append factors and variables, and solve; all new variables join the frontier.
+    """Append factors and variables to a marginal prior, and solve.
 
-    The cost of the solution comes back beside the larger prior, infinite where there is none.
+    Args:
+        prior: What G(t-1) says of its frontier.
+        factors: New factors.
+        initial: Initial values of the new variables.
+        clusters: Stamps (ns) of the new clusters, by id.
+        max_iterations: Of Gauss-Newton.
+
+    Returns:
+        The larger prior, whose frontier holds all new variables, and the cost of the solution:
+        Σ‖h(x)−z‖²_Σ with what the prior says against it, infinite where there is no solution.
     """
     problem = Problem(prior, initial, max_iterations)
     solved = problem.solve(factors, initial.keys())
@@ -37,9 +46,17 @@ def smoother_update(
 def commit_solution(
     prior: MarginalPrior, solved: Solved, names: Mapping[int, int], clusters: Mapping[int, int]
 ) -> MarginalPrior:
-    """Append what was solved on top of the same prior, with fewer eliminated variables or not.
+    """Append what was solved on top of the same prior; nothing is solved again.
 
-    ``names`` are the keys that new variables get in place of those that they were solved under.
+    Args:
+        prior: What G(t-1) says of its frontier; the solution may have been found with fewer of its
+            eliminated variables.
+        solved: The solution.
+        names: Keys that new variables get in place of those that they were solved under.
+        clusters: Stamps (ns) of the new clusters, by id.
+
+    Returns:
+        The larger prior, whose frontier holds all new variables.
     """
     system, own = solved.linear(), solved.own()
     new = system.layout.keys[len(prior.keys) :]
@@ -81,10 +98,19 @@ def marginal_prior_of(
     keep: Collection[int],
     oldest: int,
 ) -> tuple[MarginalPrior, gtsam.Values]:
-    """The marginal prior of a whole graph at its optimum ``values``, and what lies before the lag.
+    """The marginal prior of a whole graph; costs a sparse elimination of it.
 
-    ``keep`` are the variables of its frontier. Costs a sparse elimination of the graph;
-    ``smoother_update`` and ``marginalise`` do it step by step.
+    ``smoother_update`` and ``marginalise`` do the same step by step.
+
+    Args:
+        factors: All factors.
+        values: Their optimum.
+        clusters: Stamps (ns) of all clusters, by id.
+        keep: Variables of the frontier.
+        oldest: Stamp (ns) of the oldest clusters whose eliminated variables still move.
+
+    Returns:
+        The prior, and the values of what lies before it.
     """
     kept = sorted(set(keep) & set(values.keys()), key=lambda key: (cluster_of(key), key))
     wanted = {cluster_of(key) for key in kept}
