@@ -44,9 +44,7 @@ def files_page() -> str:
     ]
     for room in [*rooms(), GROUND]:
         title = f'`{room}/`' if room != GROUND else 'The ground: beside the rooms'
-        rows = [
-            f'| `{path.relative_to(PACKAGE)}` | {_first_line(path)} |' for path in modules(room)
-        ]
+        rows = [f'| `{_within(room, path)}` | {_first_line(path)} |' for path in modules(room)]
         table = '\n'.join(['| file | what it is |', '|---|---|', *rows])
         api = f'[API of this room](../api/{room}.md)'
         parts += [f'## {title} {{#{room}}}', f'{door_plate(room)}\n\n{api}', table]
@@ -66,14 +64,18 @@ def api_pages() -> dict[str, str]:
         for path in modules(room):
             place = path.relative_to(PACKAGE)
             name = '.'.join(['incremental_mapper', *place.with_suffix('').parts])
-            title = place if room == GROUND else place.relative_to(room)
             parts.append(
-                f'## {title} {{#{name}-file}}\n\n'
+                f'## {_within(room, path)} {{#{name}-file}}\n\n'
                 f'::: {name}\n    options:\n      show_root_heading: false\n'
                 '      show_root_toc_entry: false\n      heading_level: 3'
             )
         pages[f'api/{room}.md'] = '\n\n'.join(parts) + '\n'
     return pages
+
+
+def _within(room: str, path: Path) -> str:
+    """A module's place in its room."""
+    return path.relative_to(PACKAGE if room == GROUND else PACKAGE / room).as_posix()
 
 
 def _first_line(path: Path) -> str:

@@ -4,9 +4,11 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
+from pathlib import Path
 from typing import Any
 
 from annotated_types import Ge, Gt, Le, Lt, MinLen
+from markdown.extensions.toc import slugify
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
@@ -60,6 +62,7 @@ UNITS = (
     (r'\b[Mm]etres\b', 'm'),
 )
 """Words of a description, the most special first, and the unit that they tell."""
+TUNING = Path(__file__).resolve().parents[1] / 'tuning.md'
 NO_UNIT = ('odometry.min_overlap', 'mom.eigenvalue_ratio')
 """Numbers with a fraction that are ratios."""
 
@@ -96,15 +99,28 @@ def settings(section: str, model: type[BaseModel]) -> Iterator[Setting]:
         yield _setting(f'{section}.{name}', info)
 
 
+def advice() -> dict[str, str]:
+    """Where the page on tuning tells of a setting: a link, by the setting's name."""
+    found: dict[str, str] = {}
+    title = ''
+    for line in TUNING.read_text(encoding='utf-8').splitlines():
+        if line.startswith('## '):
+            title = line.removeprefix('## ')
+        for name in re.findall(r'\(configuration\.md#([\w.]+)\)', line):
+            found.setdefault(name, f'[{title}](tuning.md#{slugify(title, "-")})')
+    return found
+
+
 def page() -> str:
     """The whole page."""
+    more = advice()
     found = {name: list(settings(name, model)) for name, model in sections().items()}
     sensors = list(settings('lidars.NAME', Sensor))
     parts = [HEAD, '## At a glance', _glance(found), '## Sensors {#lidars}', SENSORS]
     parts += [_entry(item, item.name.replace('NAME', 'name')) for item in sensors]
     for name, items in found.items():
         parts += [f'## {name}', _first_paragraphs(sections()[name].__doc__)]
-        parts += [_entry(item, item.name) for item in items]
+        parts += [_entry(item, item.name, more.get(item.name)) for item in items]
     return '\n\n'.join(parts) + '\n'
 
 
@@ -117,12 +133,13 @@ def _glance(found: dict[str, list[Setting]]) -> str:
     return f'<div class="glance" markdown>\n\n{body}\n\n</div>'
 
 
-def _entry(item: Setting, anchor: str) -> str:
+def _entry(item: Setting, anchor: str, more: str | None = None) -> str:
     facts = [item.kind, f'default {item.default}']
     facts += [item.bounds] if item.bounds else []
     facts += [f'unit {item.unit}'] if item.unit else []
     line = ' · '.join(facts)
-    return f'### {item.name} {{#{anchor}}}\n\n{line}\n{{: .setting }}\n\n{item.description}'
+    words = item.description if more is None else f'{item.description} More: {more}.'
+    return f'### {item.name} {{#{anchor}}}\n\n{line}\n{{: .setting }}\n\n{words}'
 
 
 def _setting(name: str, info: FieldInfo) -> Setting:

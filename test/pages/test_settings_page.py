@@ -33,6 +33,7 @@ def test_an_entry_has_type_default_range_unit_and_description() -> None:
     lag = entry('graph.lag')
     assert lag.startswith('number · default `2.0` · from 0 to 60 · unit s')
     assert 'newest part of G(t)' in lag
+    assert 'More: [The lag](tuning.md#the-lag).' in lag
     assert 'whole number · default `1000` · from 1 to 1\u202f000\u202f000\n' in entry(
         'selection.max_candidates'
     )
