@@ -28,8 +28,8 @@ def compositions(length: int) -> Iterator[tuple[tuple[int, int], ...]]:
         length: Number of elements, at least one.
 
     Yields:
-        The runs of one composition as (first, last) positions. The finest composition, every element
-        by itself, comes first.
+        The runs of one composition as (first, last) positions. The finest composition, every
+        element by itself, comes first.
     """
     for cuts in range(length - 1, -1, -1):
         for inner in combinations(range(1, length), cuts):

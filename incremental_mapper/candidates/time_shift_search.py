@@ -28,8 +28,8 @@ def by_time_shift(
 ) -> Iterator[Candidate]:
     """Distinct candidates of a window in ascending order of total time shift, exactly.
 
-    The shift is Σ cluster ranges + Σ over connections of (first IMU stamp − stamp of the cluster where
-    the connection starts) (paper, Minimum Time Shift).
+    The shift is Σ cluster ranges + Σ over connections of (first IMU stamp − stamp of the cluster
+    where the connection starts) (paper, Minimum Time Shift).
 
     Args:
         elements: The window's elements in time order.

@@ -82,7 +82,7 @@ def predict(
 ) -> dict[int, State]:
     """States at the stamps of a window's core measurements: initial values, never measurements.
 
-    A scan with odometry goes where its odometry puts it; everything else follows the state before it.
+    A scan with odometry goes where its odometry puts it; everything else follows the state before.
 
     Args:
         prepared: Core measurements in time order.

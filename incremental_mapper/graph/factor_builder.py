@@ -102,8 +102,9 @@ class FactorBuilder:
             since: Index of the first cluster whose factors are wanted; 0 gives all of them.
 
         Returns:
-            Odometry and fixes of the clusters' members, then IMU factors of the connections, then what
-            holds velocity and bias where a chain of spans starts, and in the first window the prior.
+            Odometry and fixes of the clusters' members, then IMU factors of the connections, then
+            what holds velocity and bias where a chain of spans starts, and in the first window
+            the prior.
         """
         partition = self._partitions.of(candidate)
         made: list[Factor] = []

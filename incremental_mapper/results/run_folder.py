@@ -35,6 +35,8 @@ Record: TypeAlias = Mapping[str, Any]
 TRAJECTORY, MAP, WINDOWS = 'trajectory.tum', 'map.ply', 'windows.csv'
 GRAPH, GRAPH_G2O, STATISTICS = 'graph.json', 'graph.g2o', 'stats.json'
 FILES = (TRAJECTORY, MAP, GRAPH_G2O, GRAPH, WINDOWS, STATISTICS)
+LATEST = Decimal(2**63)
+"""Stamps in nanoseconds have 64 bits."""
 ABSOLUTE_SECONDS = Decimal(10) ** 8
 ABSOLUTE_NANOSECONDS = Decimal(10) ** 15
 """Numbers from here on are stamps: the first three years of a clock are no time of a drive."""
@@ -182,8 +184,11 @@ class FinishedRun:
         """
         try:
             number = Decimal(text)
+            # A number like 1e99999999 would be written out digit by digit.
+            if not abs(number) < LATEST:
+                raise ValueError
             if number >= ABSOLUTE_NANOSECONDS:
-                return int(number)
+                return round(number)
             stamp = round(number * NANOSECONDS)
         except (InvalidOperation, ValueError, OverflowError) as error:
             raise ConfigError(
@@ -192,11 +197,25 @@ class FinishedRun:
         return stamp if number >= ABSOLUTE_SECONDS else self.first_stamp + stamp
 
     def seconds(self, stamp: int) -> float:
-        """Seconds from the first cluster to a stamp (ns)."""
+        """Time of a stamp as pictures show it.
+
+        Args:
+            stamp: Any stamp, ns.
+
+        Returns:
+            Seconds from the first cluster to it.
+        """
         return (stamp - self.first_stamp) / NANOSECONDS
 
     def stretch(self, seconds: float = GRAPH_SECONDS) -> tuple[int, int]:
-        """Start and end (ns) of a stretch worth drawing; see ``typical_stretch``."""
+        """A stretch worth drawing; see ``interesting_stretch``.
+
+        Args:
+            seconds: How long it is to be.
+
+        Returns:
+            Its start and end, ns.
+        """
         return typical_stretch(self.graph, seconds)
 
     def _json(self, name: str, keys: set[str]) -> Record:

@@ -71,8 +71,8 @@ class MarginalPrior:
             key: One of ``keys``.
 
         Returns:
-            Covariance (d, d) in the variable's tangent space, for poses rotation first; None where it is
-            undetermined.
+            Covariance (d, d) in the variable's tangent space, for poses rotation first; None where
+            it is undetermined.
         """
         layout = layout_of(self.keys)
         columns = layout.columns([key])
