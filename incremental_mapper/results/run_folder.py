@@ -185,7 +185,7 @@ class FinishedRun:
         try:
             number = Decimal(text)
             # A number like 1e99999999 would be written out digit by digit.
-            if not abs(number) < LATEST:
+            if not number.copy_abs() < LATEST:
                 raise ValueError
             if number >= ABSOLUTE_NANOSECONDS:
                 return round(number)
