@@ -170,7 +170,7 @@ def test_what_is_wrong_is_said(folder, inspect, tmp_path):
         ([folder, '--at', 'noon'], ["'noon' is no time"]),
         ([folder, '--at', 'nan'], ["'nan' is no time"]),
         ([folder, '--at', '1e99999999'], ["'1e99999999' is no time"]),
-        ([folder, '--at', '-inf'], ["'-inf' is no time"]),
+        ([folder, '--at', 'inf'], ["'inf' is no time"]),
         ([folder], ['either by its number or by --at']),
         ([folder, 3, '--at', '1'], ['either by its number or by --at']),
         ([tmp_path, 3], ['is no output of "incremental_mapper map"']),
