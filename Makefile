@@ -6,6 +6,8 @@ TIMING ?= kaist_timing
 TABLE_DIR ?= table_out
 BENCH_DIR ?= bench_out
 PICTURES_DIR ?= pictures_out
+MUTANTS_DIR ?= mutants_out
+MUTANTS ?= 60
 BENCH_LONG ?= 600
 BENCH_HOUR ?= 60
 TABLE_CONFIG ?= config/kaist.yaml
@@ -16,7 +18,7 @@ INSTALLED := .venv/.installed
 MAPPER := $(BIN)/incremental_mapper
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help install demo table bench test lint types check format docs pictures clean
+.PHONY: help install demo table bench test mutants lint types check format docs pictures clean
 
 help:
 	@echo 'make demo    simulate a drive of DEMO_SECONDS ($(DEMO_SECONDS)) seconds, map it, draw it, play it'
@@ -26,13 +28,15 @@ help:
 	@echo 'make bench   all figures of the speed in one table; BENCH_LONG=S and BENCH_HOUR=MIN set the'
 	@echo '             long drives (600 s and 60 min, 0 leaves them out); takes half an hour'
 	@echo 'make test    run the tests'
+	@echo 'make mutants  put MUTANTS ($(MUTANTS)) faults into each core room and count those that a test'
+	@echo '             notices; 0 tries all that are possible; takes about an hour, and goes on where it ended'
 	@echo 'make lint    ruff and the import contracts'
 	@echo 'make types   mypy'
 	@echo 'make check   lint, types and test'
 	@echo 'make format  let ruff mend formatting and imports'
 	@echo 'make docs    the pages in site/, and whether all that they tell people to type exists'
 	@echo 'make pictures  draw the pictures of the pages again, from a simulated drive'
-	@echo 'make clean   remove .venv, caches, site and the output of demo, table, bench and pictures'
+	@echo 'make clean   remove .venv, caches, site and the output of demo, table, bench, pictures and mutants'
 	@echo 'PYTHON=python3.12 chooses the interpreter that .venv is made with (3.11 or later)'
 
 install: $(INSTALLED)
@@ -79,6 +83,9 @@ bench: $(INSTALLED)
 test: $(INSTALLED)
 	$(BIN)/python -m pytest
 
+mutants: $(INSTALLED)
+	$(BIN)/python benchmarks/mutants.py $(MUTANTS_DIR) --per-room $(MUTANTS) --jobs $(JOBS)
+
 lint: $(INSTALLED)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -106,5 +113,5 @@ pictures: $(INSTALLED)
 	$(BIN)/python examples/figure2.py docs/figure2.png
 
 clean:
-	rm -rf .venv $(DEMO_DIR) $(BENCH_DIR) $(TABLE_DIR) $(PICTURES_DIR) site build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache \
+	rm -rf .venv $(DEMO_DIR) $(BENCH_DIR) $(TABLE_DIR) $(PICTURES_DIR) $(MUTANTS_DIR) site build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache \
 		.hypothesis .import_linter_cache

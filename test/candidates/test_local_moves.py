@@ -1,13 +1,15 @@
 """Single decisions lead from any candidate to any other, and never out of the enumeration."""
 
+from itertools import combinations
+
 import numpy as np
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from window_cases import imu_at, windows
 
-from incremental_mapper.candidates.enumeration import base_candidate, candidates
+from incremental_mapper.candidates.enumeration import base_candidate, candidates, connect
 from incremental_mapper.candidates.local_moves import neighbours
-from incremental_mapper.candidates.model import CoreKind, CoreMeasurement
+from incremental_mapper.candidates.model import HEAD, CoreKind, CoreMeasurement
 from incremental_mapper.candidates.partitions import group_elements, make_cluster
 from incremental_mapper.candidates.spans import ImuStamps
 
@@ -97,7 +99,6 @@ def test_neighbours_differ_by_exactly_one_merge_split_or_visit(window, random):
         expected = {
             item for item in single_decisions(candidate, head) if loop_free(elements, item[0])
         } - {decisions(candidate, head)}
-        # Without a head, the first cluster is an end of the chain whatever becomes of it.
         assert found == expected
 
 
@@ -114,3 +115,24 @@ def test_merged_cluster_is_split_at_every_place_and_in_every_way():
     }
     # The last cluster is always visited, the one before it may be.
     assert len(found) == 6
+
+
+@settings(deadline=None, max_examples=60)
+@given(windows())
+@example(RARE_SAMPLES)
+def test_two_clusters_join_the_chain_at_once_where_neither_alone_makes_a_difference(window):
+    elements, head, imu = window
+    for candidate in list(candidates(elements, head, imu))[:40]:
+        inner = range(0 if head is not None else 1, len(candidate.clusters) - 1)
+        chain = {node for link in candidate.connections for node in (link.start, link.end)}
+
+        def with_nodes(*more, candidate=candidate, chain=chain):
+            ends = {len(candidate.clusters) - 1} | ({0} if head is None else set())
+            nodes = sorted((chain - {HEAD}) | ends | set(more))
+            start = [] if head is None else [HEAD]
+            return connect(candidate.clusters, [*start, *nodes], head, imu)
+
+        idle = [node for node in inner if node not in chain and with_nodes(node) == candidate]
+        found = set(neighbours(candidate, elements, head, imu))
+        for pair in combinations(idle, 2):
+            assert with_nodes(*pair) in found

@@ -1,11 +1,28 @@
 """Scans of one LiDAR linked to one another: what is matched, rejected, and how motion is undone."""
 
+import pickle
+from collections import Counter
+
 import gtsam
 import numpy as np
 import pytest
-from driven_room import METHODS, STEP, assert_close, drive, front_end, room, scan, seen_from, stamp
+from driven_room import (
+    METHODS,
+    STEP,
+    assert_close,
+    drive,
+    front_end,
+    poses,
+    room,
+    scan,
+    seen_from,
+    stamp,
+)
 
+from incremental_mapper.frontend.front_end import FrontEnd
+from incremental_mapper.frontend.lidar_odometry import ScanPreparer
 from incremental_mapper.measurements import LidarScan
+from incremental_mapper.settings import make_config
 
 
 @pytest.mark.parametrize('method', METHODS)
@@ -154,3 +171,25 @@ def test_good_match_makes_up_for_bad_ones_before_it():
     again = leaping(end, [0.7, 0.8])
     assert [item.previous for item in again] == [None, None]
     assert end.notes == {'left: match rejected': 4}
+
+
+def test_coarse_map_takes_nothing_from_the_matching():
+    end = FrontEnd(make_config({'map': {'voxel_size': 3.0}, 'lidars': {'left': {}}}))
+    found = drive(end, [0.0, 0.1, 0.2, 0.3])
+    for item in found[1:]:
+        assert_close(item.T_previous_current, STEP, 0.03, 0.003)
+    cells = np.floor(found[3].thinned / 3.0)
+    assert len(np.unique(cells, axis=0)) == len(cells)
+
+
+def test_scans_of_a_lidar_can_be_prepared_in_another_process():
+    config = make_config({'lidars': {'left': {}}})
+    here, there = (ScanPreparer('left', config, Counter()) for _ in range(2))
+    for i, pose in enumerate(poses(3)):
+        raw = scan(i / 10, seen_from(pose, room(seed=i)))
+        expected = here.prepare(raw)
+        found = pickle.loads(pickle.dumps(there.prepare(pickle.loads(pickle.dumps(raw)))))
+        assert np.array_equal(found.thinned, expected.thinned)
+        assert found.core == expected.core
+        assert found.previous == expected.previous
+    assert found.T_previous_current.equals(expected.T_previous_current, 1e-12)

@@ -108,3 +108,20 @@ def test_neighbourhoods_are_shared_by_scans_and_large_enough():
     expected = np.stack([np.cov(clouds[i].T, bias=True) for i in (1, 2)])
     assert full_matrices(spread) == pytest.approx(expected, abs=1e-12)
     assert shared_neighbourhoods(by_scan[:0], chosen[:0], 5)[1].shape == (6, 0)
+
+
+@pytest.mark.parametrize(('count', 'taken'), [(4, False), (5, True), (6, True)])
+def test_neighbourhood_of_exactly_as_many_points_as_are_asked_for_counts(count, taken):
+    points = np.random.default_rng(1).normal(size=(count, 3))
+    by_scan = np.zeros((1, 2, 10))
+    by_scan[0] = moments(points[:2])[:, 0], moments(points[2:])[:, 0]
+    chosen, _ = shared_neighbourhoods(by_scan, np.zeros(1, dtype=np.int64), 5)
+    assert chosen.tolist() == [0] * taken
+
+
+def test_one_point_is_the_least_that_makes_a_neighbourhood():
+    by_scan = np.zeros((2, 2, 10))
+    by_scan[1, 1] = moments(np.ones((1, 3)))[:, 0]
+    chosen, spread = shared_neighbourhoods(by_scan, np.zeros(2, dtype=np.int64), 0)
+    assert chosen.tolist() == [1]
+    assert spread == pytest.approx(np.zeros((6, 1)), abs=1e-15)
