@@ -25,9 +25,11 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec
 from importlib.util import spec_from_file_location
+from itertools import zip_longest
 from pathlib import Path
 from types import CodeType, FrameType
 from typing import Any
@@ -46,10 +48,11 @@ ROOMS: dict[str, list[str]] = {
     'mapping': [f'mapping/{name}.py' for name in ('window_buffer', 'commit', 'georeferencing')],
 }
 TESTS = [f'test/{room}' for room in ROOMS]
-SLOW = 8.0
+SLOW = 4.0
 """Seconds; a test that takes longer tells of faults that a quicker one should have noticed."""
-PATIENCE = 30.0
-"""Seconds beyond three times what the tests take; after that a fault hangs, and is noticed."""
+PATIENCE = 15.0
+"""Seconds of the processor beyond twice what the tests take; after that a fault hangs, and is
+noticed. One that waits for ever is given four times as long by the clock."""
 MEMORY = 8 << 30
 LIBRARIES = (
     'gtsam hypothesis.strategies kiss_icp.config numba numpy pydantic.main pymap3d pytest '
@@ -88,7 +91,8 @@ class Recorder:
     """A pytest plugin that writes down what every test calls in the package."""
 
     def __init__(self) -> None:
-        self.seconds: dict[str, float] = defaultdict(float)
+        self.seconds: dict[str, float] = {}
+        self._began = 0.0
         self.calls: dict[str, set[str]] = defaultdict(set)
         self.failed: set[str] = set()
         self._of_fixture: dict[Any, set[str]] = defaultdict(set)
@@ -111,6 +115,7 @@ class Recorder:
 
     def pytest_runtest_protocol(self, item: Any) -> None:
         """Begin anew with this test."""
+        self._began = time.process_time()
         self._sinks = [self.calls[item.nodeid]]
         sys.setprofile(self._profile)
 
@@ -119,8 +124,7 @@ class Recorder:
         self._sinks.append(self._of_fixture[fixturedef])
 
     def pytest_runtest_logreport(self, report: Any) -> None:
-        """Add up the phases of a test."""
-        self.seconds[report.nodeid] += report.duration
+        """What failed without a fault is of no use."""
         if report.failed:
             self.failed.add(report.nodeid)
 
@@ -134,6 +138,7 @@ class Recorder:
     def pytest_runtest_logfinish(self, nodeid: str) -> None:
         """The end of this test."""
         sys.setprofile(None)
+        self.seconds[nodeid] = time.process_time() - self._began
 
 
 class Ranked:
@@ -236,9 +241,10 @@ def record(out: Path) -> Trace:
     return Trace(tree['seconds'], tree['calls'])
 
 
-def try_mutant(mutant: Mutant, tests: list[str], work: Path) -> int:
+def try_mutant(mutant: Mutant, tests: list[str], work: Path, seconds: int) -> int:
     """In a child: run the tests with the fault in place; 0 where none of them notices."""
     resource.setrlimit(resource.RLIMIT_DATA, (MEMORY, MEMORY))
+    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
     work.mkdir(parents=True, exist_ok=True)
     path = work / Path(mutant.file).name
     path.write_bytes(mutant.applied((ROOT / mutant.file).read_bytes()))
@@ -262,9 +268,9 @@ def run(
             if not tests:
                 yield row(room, mutant, 'no test', '', 0.0)
                 continue
-            limit = PATIENCE + 3.0 * sum(trace.seconds[name] for name in tests)
-            child = fork(lambda m=mutant, t=tests, w=work: try_mutant(m, t, w))  # type: ignore[misc]
-            running[child] = room, mutant, work, time.monotonic(), limit
+            limit = round(PATIENCE + 2.0 * sum(trace.seconds[name] for name in tests))
+            child = fork(partial(try_mutant, mutant, tests, work, limit))
+            running[child] = room, mutant, work, time.monotonic(), 4.0 * limit
         time.sleep(0.02)
         for child, (room, mutant, work, began, limit) in list(running.items()):
             ended, status = os.waitpid(child, os.WNOHANG)
@@ -276,9 +282,10 @@ def run(
                 os.waitpid(child, 0)
             told = work / 'noticed.txt'
             test = told.read_text() if told.exists() else ''
-            if not ended:
+            code = os.waitstatus_to_exitcode(status) if ended else -signal.SIGKILL
+            if code in (-signal.SIGKILL, -signal.SIGXCPU):
                 word = 'hangs'
-            elif os.waitstatus_to_exitcode(status) == 0:
+            elif code == 0:
                 word = 'survived'
             else:
                 word = 'killed' if test else 'crashed'
@@ -297,7 +304,7 @@ def row(room: str, mutant: Mutant, status: str, test: str, seconds: float) -> di
 
 def chosen(rooms: list[str], per_room: int, seed: int) -> list[tuple[str, Mutant]]:
     """The faults to try: the same ones for the same seed and code."""
-    found: list[tuple[str, Mutant]] = []
+    by_room: list[list[tuple[str, Mutant]]] = []
     for room in rooms:
         possible: list[Mutant] = []
         for pattern in ROOMS[room]:
@@ -306,8 +313,10 @@ def chosen(rooms: list[str], per_room: int, seed: int) -> list[tuple[str, Mutant
         print(f'{room}: {len(possible)} faults are possible', file=sys.stderr)
         if 0 < per_room < len(possible):
             possible = random.Random(f'{seed} {room}').sample(possible, per_room)
-        found += [(room, mutant) for mutant in possible]
-    return found
+        by_room.append([(room, mutant) for mutant in possible])
+    # In turn, so that a run that is ended early has tried as many in each room.
+    turns = zip_longest(*by_room)
+    return [pair for turn in turns for pair in turn if pair is not None]
 
 
 def summary(rows: list[dict[str, str]]) -> str:

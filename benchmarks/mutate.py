@@ -49,8 +49,9 @@ _NAMES = {
 }
 _WORDS = {'left': 'right', 'x': 'v', 'v': 'b'}
 """Strings that steer something: the side of a search, kinds of variables."""
-_NO_FAULT = {'warm_up'}
-"""Functions whose only effect is that something takes less time later."""
+_NO_FAULT = {'warm_up', 'serve', 'main'}
+"""Functions whose only effect is that something takes less time later, and those that run in a
+process of their own, which reads the file without the fault."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -55,8 +55,8 @@ def make_scene(clouds, poses, fresh=1, fixed=None):
         (cloud + ORIGIN - matrix[:3, 3]) @ matrix[:3, :3]
         for cloud, matrix in zip(clouds, poses, strict=True)
     ]
-    settled = np.zeros((0, 3)) if fixed is None else fixed + ORIGIN
-    return LocalMap(settled, moving, np.array(poses)[None], fresh, ORIGIN)
+    known = np.zeros((0, 3)) if fixed is None else fixed + ORIGIN
+    return LocalMap(known, moving, np.array(poses)[None], fresh, ORIGIN)
 
 
 @cache

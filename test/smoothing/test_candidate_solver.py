@@ -34,7 +34,7 @@ def test_every_candidate_of_perfect_measurements_is_solved_to_the_truth(stamps, 
             assert_poses(found, truth(cluster.stamp), 0.01, 1e-3)
 
 
-def loosely_known(problem, candidate, state):
+def optimum(problem, candidate, state):
     """The optimum of a candidate with all of G(t-1), by Levenberg-Marquardt."""
     factors = [factor.factor for factor in problem.factors.factors(candidate)]
     every = [*(factor.factor for factor in state.factors), *factors]
@@ -59,7 +59,7 @@ def test_candidates_have_the_optimum_and_the_error_that_the_batch_gives_them():
     connected = [item for item in all_candidates(problem) if not problem.unconnected(item)]
     for candidate in connected:
         solved = solver.solve(candidate)
-        expected, factors = loosely_known(problem, candidate, state)
+        expected, factors = optimum(problem, candidate, state)
         for cluster in candidate.clusters:
             key = pose_key(problem.partitions.number(cluster))
             assert_poses(solved.pose(key), expected.atPose3(key), 0.02, 2e-3)

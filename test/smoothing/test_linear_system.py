@@ -7,11 +7,11 @@ from hypothesis import strategies as st
 
 from incremental_mapper.smoothing.linear_system import best_step
 
-LOOSE = 1e-3
+HELD = 1e-3
 
 
 def problem(seed, known, new, count):
-    """Prior, loose hold and factors of a few columns each, in units that differ by far."""
+    """Prior, regularising prior and factors of a few columns each, in units that differ by far."""
     rng = np.random.default_rng(seed)
     size = known + new
     units = 10.0 ** rng.uniform(-3, 3, size=size)
@@ -21,16 +21,16 @@ def problem(seed, known, new, count):
         touched = rng.choice(size, size=min(4, size), replace=False)
         row[touched] = rng.normal(size=len(touched)) / units[touched]
     prior = root, rng.normal(size=len(root)), root.T @ root
-    return prior, (LOOSE, rng.normal(size=new)), (rows, rng.normal(size=count))
+    return prior, (HELD, rng.normal(size=new)), (rows, rng.normal(size=count))
 
 
-def stacked(prior, loose, factors):
+def stacked(prior, regularising, factors):
     """All rows and right-hand sides one above the other."""
-    known, new = prior[0].shape[1], len(loose[1])
+    known, new = prior[0].shape[1], len(regularising[1])
     held = np.zeros((new, known + new))
-    held[np.arange(new), known + np.arange(new)] = loose[0]
+    held[np.arange(new), known + np.arange(new)] = regularising[0]
     top = np.hstack([prior[0], np.zeros((len(prior[0]), new))])
-    rhs = np.concatenate([prior[1], loose[1], factors[1]])
+    rhs = np.concatenate([prior[1], regularising[1], factors[1]])
     return np.vstack([top, held, factors[0]]), rhs
 
 
@@ -56,28 +56,28 @@ def test_step_is_the_least_squares_solution(seed, known, new, count):
     assert np.concatenate(left) == pytest.approx(rhs - matrix @ step, rel=1e-9, abs=1e-9)
 
 
-def test_undetermined_variable_stays_where_the_loose_hold_has_it():
+def test_undetermined_variable_stays_where_the_regularising_prior_has_it():
     prior = np.eye(2), np.zeros(2), np.eye(2)
     rows = np.array([[1.0, 0.0, 0.0]])
-    step, *_ = best_step(prior, (LOOSE, np.zeros(1)), (rows, np.ones(1)))
+    step, *_ = best_step(prior, (HELD, np.zeros(1)), (rows, np.ones(1)))
     assert step == pytest.approx([0.5, 0.0, 0.0])
 
 
 @pytest.mark.parametrize('bad', [np.nan, np.inf])
 @pytest.mark.parametrize('place', ['prior', 'rows', 'rhs'])
 def test_what_is_not_finite_has_no_step(bad, place):
-    prior, loose, (rows, rhs) = problem(3, 3, 4, 9)
+    prior, regularising, (rows, rhs) = problem(3, 3, 4, 9)
     if place == 'prior':
         prior[2][0, 0] = bad
     else:
         (rows if place == 'rows' else rhs).flat[0] = bad
     rows[0, 0] = bad if place == 'rows' else 1.0
-    assert best_step(prior, loose, (rows, rhs)) is None
+    assert best_step(prior, regularising, (rows, rhs)) is None
 
 
 def test_prior_that_says_nothing_of_a_variable_leaves_no_step():
     prior = np.zeros((1, 1)), np.zeros(1), np.zeros((1, 1))
-    assert best_step(prior, (LOOSE, np.zeros(0)), (np.zeros((0, 1)), np.zeros(0))) is None
+    assert best_step(prior, (HELD, np.zeros(0)), (np.zeros((0, 1)), np.zeros(0))) is None
 
 
 @pytest.mark.parametrize('seed', range(8))

@@ -87,7 +87,7 @@ def difference(first, second, key):
 
 @settings(deadline=None, max_examples=15)
 @given(st.integers(0, 10_000))
-def test_belief_is_the_marginal_and_the_conditional_of_the_whole_graph(seed):
+def test_prior_is_the_marginal_and_the_conditional_of_the_whole_graph(seed):
     prior, _, factors, start = stepped(12, 100 * SECOND, seed=seed)
     batch = optimize(make_graph(factors), start, 100).values
     for key in batch.keys():  # noqa: SIM118 (no mapping)
@@ -97,12 +97,12 @@ def test_belief_is_the_marginal_and_the_conditional_of_the_whole_graph(seed):
     assert prior.keys == (newest,)
     expected = whole.marginalCovariance(newest)
     assert np.abs(prior.covariance(newest) - expected).max() <= 2e-3 * np.abs(expected).max()
-    # The slope of a follower is its covariance with the frontier, times the frontier's information.
+    # A gain is the covariance with the frontier, times the frontier's information.
     for i in (3, 10):
         joint = whole.jointMarginalCovariance([pose_key(i), newest]).fullMatrix()
         place = Layout(prior.eliminated).columns([pose_key(i)])
-        slope = joint[:6, 6:] @ np.linalg.inv(joint[6:, 6:])
-        assert prior.gains[place] == pytest.approx(slope, abs=2e-2)
+        gain = joint[:6, 6:] @ np.linalg.inv(joint[6:, 6:])
+        assert prior.gains[place] == pytest.approx(gain, abs=2e-2)
 
 
 def test_newest_poses_are_those_of_the_batch_over_a_long_chain():
@@ -113,7 +113,7 @@ def test_newest_poses_are_those_of_the_batch_over_a_long_chain():
         assert difference(batch, prior.values, pose_key(cluster)) < 1e-3
 
 
-def test_belief_stays_small_however_long_the_drive_and_what_left_it_is_gone():
+def test_prior_stays_small_however_long_the_drive_and_what_left_it_is_gone():
     short, _, _, _ = stepped(20, SECOND)
     long, left, _, _ = stepped(80, SECOND)
     assert long.root.shape == short.root.shape == (6, 6)
@@ -151,7 +151,7 @@ def test_cluster_that_is_still_needed_stays_in_the_frontier_whatever_its_age():
     assert difference(batch, prior.values, pose_key(4)) < 1e-3
 
 
-def test_belief_of_a_whole_graph_is_the_one_that_grew_with_it():
+def test_prior_of_a_whole_graph_is_the_one_that_grew_with_it():
     grown, left, factors, start = stepped(20, SECOND)
     clusters = {i: i * SECOND // 5 for i in range(20)}
     batch = optimize(make_graph(factors), start, 100).values
@@ -170,7 +170,7 @@ def test_belief_of_a_whole_graph_is_the_one_that_grew_with_it():
 
 @settings(deadline=None, max_examples=15)
 @given(st.integers(0, 10_000))
-def test_problem_on_a_belief_has_the_optimum_of_the_whole_graph(seed):
+def test_problem_on_a_prior_has_the_optimum_of_the_whole_graph(seed):
     rng = np.random.default_rng(seed)
     prior, _, factors, start = stepped(10, 100 * SECOND, seed=seed)
     newest = prior.values.atPose3(pose_key(9))
@@ -206,7 +206,7 @@ def test_sets_of_factors_do_not_see_each_other():
     assert np.linalg.norm(apart.translation()) == pytest.approx(0.02, abs=1e-6)
 
 
-def test_followers_that_were_trimmed_are_no_part_of_a_solution():
+def test_eliminated_variables_that_were_trimmed_are_no_part_of_a_solution():
     prior, _, _, _ = stepped(8, 100 * SECOND)
     far = prior.values.atPose3(pose_key(7)).translation() + [0.0, 0.0, 1.0]
     pull = [gtsam.GPSFactor(pose_key(7), far, FIX_NOISE)]
@@ -266,7 +266,7 @@ def without_velocity(values):
     return smaller
 
 
-def test_belief_with_velocities_and_biases_has_the_graph_s_marginals():
+def test_prior_with_velocities_and_biases_has_the_graph_s_marginals():
     factors, values = [], gtsam.Values()
     bias = gtsam.imuBias.ConstantBias()
     for i, own, initial in drive(6, seed=9):
@@ -305,7 +305,7 @@ def test_a_cluster_may_stay_in_part():
     assert gone.size() == 0 and smaller.clusters == {0: 0}
 
 
-def test_empty_belief_has_nothing_to_shrink():
+def test_empty_prior_has_nothing_to_marginalise():
     smaller, gone = marginalise(MarginalPrior(), (), 10)
     assert smaller.keys == () and smaller.root.shape == (0, 0)
     assert gone.size() == 0

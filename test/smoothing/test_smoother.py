@@ -154,14 +154,14 @@ def test_solved_set_moves_all_that_follows_without_being_committed(steps, seed):
         key = velocity_key(number)
         assert prior.values.atVector(key).tolist() == before.atVector(key).tolist()
     named = {velocity_key(count): velocity_key(count + 5)}
-    adopted = commit_solution(prior, solved, named, {count + 5: count})
-    assert set(adopted.keys) == set(prior.keys) | {velocity_key(count + 5)}
-    assert adopted.clusters == {**prior.clusters, count + 5: count}
-    assert_solution(adopted.values, expected, range(count))
-    last = adopted.values.atVector(velocity_key(count + 5))
+    committed = commit_solution(prior, solved, named, {count + 5: count})
+    assert set(committed.keys) == set(prior.keys) | {velocity_key(count + 5)}
+    assert committed.clusters == {**prior.clusters, count + 5: count}
+    assert_solution(committed.values, expected, range(count))
+    last = committed.values.atVector(velocity_key(count + 5))
     assert last == pytest.approx(expected[count], abs=0.01)
     # And it goes on from there as if nothing had been marginalised.
-    smaller, _ = marginalise(adopted, {velocity_key(count + 5)}, 0)
+    smaller, _ = marginalise(committed, {velocity_key(count + 5)}, 0)
     assert_solution(smaller.values, expected, range(count))
     expected_error = 2.0 * sum(factor.error(solved.values) for factor in factors)
     assert solved.error == pytest.approx(expected_error, rel=1e-6, abs=1e-9)
