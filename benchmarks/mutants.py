@@ -53,6 +53,9 @@ SLOW = 4.0
 PATIENCE = 15.0
 """Seconds of the processor beyond twice what the tests take; after that a fault hangs, and is
 noticed. One that waits for ever is given four times as long by the clock."""
+FEW = 5
+EXAMPLES = 25
+"""Examples of a property at the most: a fault that needs more to show is not noticed surely."""
 MEMORY = 8 << 30
 LIBRARIES = (
     'gtsam hypothesis.strategies kiss_icp.config numba numpy pydantic.main pymap3d pytest '
@@ -71,12 +74,16 @@ class Trace:
     calls: dict[str, list[str]]
 
     def tests(self, mutant: Mutant) -> list[str]:
-        """Tests that may notice a fault, quickest first; then the others of the same files."""
+        """Tests that may notice a fault, quickest first.
+
+        Where few call the function, the others of their files follow: some share what was made
+        once, and only the first one of them was seen to call it.
+        """
         inside = f'{mutant.file}:{mutant.function}'
         of_file = {name for name in self.seconds if self._touches(name, f'{mutant.file}:')}
         # Compiled functions are not seen when they are called, nor is what runs on import.
         called = {name for name in of_file if self._touches(name, inside)} or of_file
-        files = {name.split('::')[0] for name in called}
+        files = {name.split('::')[0] for name in called} if len(called) < FEW else set()
         rest = {name for name in self.seconds if name.split('::')[0] in files} - called
         return [
             *sorted(called, key=self.seconds.__getitem__),
@@ -150,10 +157,17 @@ class Ranked:
 
     def pytest_collection_modifyitems(self, items: list[Any]) -> None:
         """Sort, and leave out what is not on the list."""
+        from hypothesis import settings
+
         items[:] = sorted(
             (item for item in items if item.nodeid in self._rank),
             key=lambda item: self._rank[item.nodeid],
         )
+        for item in items:
+            chosen = getattr(item.obj, '_hypothesis_internal_use_settings', None)
+            if chosen is not None and chosen.max_examples > EXAMPLES:
+                test = getattr(item.obj, '__func__', item.obj)
+                test._hypothesis_internal_use_settings = settings(chosen, max_examples=EXAMPLES)
 
     def pytest_runtest_logreport(self, report: Any) -> None:
         """Keep the name of the first one that fails."""

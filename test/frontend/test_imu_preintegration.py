@@ -210,3 +210,15 @@ def test_levelled_rotation_turns_the_force_upwards_and_has_the_yaw(roll, pitch, 
 def test_without_gravity_the_rotation_is_level_already(force):
     expected = gtsam.Rot3.Yaw(0.7).matrix()
     assert level_rotation(force, 0.7).matrix() == pytest.approx(expected, abs=1e-12)
+
+
+def test_nearest_sample_is_the_one_whose_stamp_differs_least():
+    samples = [
+        make_imu(stamp, 'imu', np.full(3, float(stamp)), np.zeros(3)) for stamp in (100, 200, 400)
+    ]
+    series = EMPTY_SERIES.joined(samples)
+    for stamp, nearest in ((0, 100), (149, 100), (151, 200), (299, 200), (301, 400), (900, 400)):
+        found = series.nearest(stamp)
+        assert found.stamps.tolist() == [nearest]
+        assert found.gyro.tolist() == [[float(nearest)] * 3]
+    assert len(EMPTY_SERIES.nearest(5).stamps) == 0

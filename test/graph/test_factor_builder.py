@@ -1,5 +1,7 @@
 """Factors of a window's candidates: none of them has anything to say against the truth."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -255,3 +257,29 @@ def test_scans_that_have_odometry_and_those_that_it_starts_from_are_known():
     assert problem.factors.has_odometry(left.core) and problem.factors.has_odometry(right.core)
     assert not problem.factors.has_odometry(seen.core)
     assert problem.factors.continued_scans() == {('left', 0), ('right', -30 * MS)}
+
+
+def test_velocity_and_bias_may_change_for_a_millisecond_at_the_least():
+    walks = {'accelerometer_bias_walk': 0.2, 'gyroscope_bias_walk': 0.003}
+    problem = problem_of(
+        {MS // 2: {'left'}, 140 * MS: {'right'}}, config=car_settings(preintegration=walks)
+    )
+    candidate = connected(problem, ((0, 0), (1, 1)), (0, 1))
+    factors = problem.factors.factors(candidate)
+    (carried,) = of_kind(factors, FactorKind.CONSTANT_VELOCITY)
+    (walk,) = of_kind(factors, FactorKind.BIAS_RANDOM_WALK)
+    assert carried.data['sigma'] == pytest.approx(2.0 * 1e-3, rel=1e-9)
+    root = np.sqrt(1e-3)
+    assert walk.data['sigmas'] == pytest.approx([root * 0.2] * 3 + [root * 0.003] * 3, rel=1e-9)
+
+
+def test_chain_that_starts_before_the_head_state_does_not_reckon_backwards():
+    # The last cluster with velocity is older than the head, which has none.
+    state = known_state()
+    state.frontier = replace(state.frontier, inertial_stamp=-20 * MS)
+    problem = problem_of(SPREAD, state)
+    candidate = connected(problem, ALONE, (0, 1))
+    (carried,) = of_kind(problem.factors.factors(candidate), FactorKind.CONSTANT_VELOCITY)
+    assert carried.stamps == (-20 * MS, 40 * MS)
+    assert carried.data['change'] == pytest.approx(velocity(40 * MS) - velocity(0), abs=1e-3)
+    assert carried.data['sigma'] == pytest.approx(2.0 * 0.06)

@@ -314,3 +314,25 @@ def test_only_the_newest_fixes_are_looked_at():
     assert not georeference(state, config)
     state.fixes[:] = [*moving, *([moving[0]] * 38)]
     assert georeference(state, config)
+
+
+@pytest.mark.parametrize(('short', 'long', 'agree'), [(2.0, 11.0, True), (2.0, 11.001, False)])
+def test_ways_agree_up_to_five_times_and_a_metre(short, long, agree):
+    one, other = (np.array([[0.0, 0.0, 0.0], [way, 0.0, 0.0]]) for way in (short, long))
+    for enu, local in ((one, other), (other, one)):
+        found = agreeing_track(enu, local, np.zeros(2), 1.0)
+        assert (found is not None) == agree
+
+
+@pytest.mark.parametrize(('sigma', 'agree'), [(0.1, False), (0.2, True)])
+def test_noise_of_the_fixes_makes_up_for_some_of_the_way(sigma, agree):
+    # The two together are off by five times 0.14 m, or 0.28 m.
+    enu = np.array([[0.0, 0.0, 0.0], [12.0, 0.0, 50.0]])
+    local = np.array([[0.0, 0.0, 0.0], [0.0, 2.0, -50.0]])
+    assert (agreeing_track(enu, local, np.full(2, sigma), 1.0) is not None) == agree
+
+
+@pytest.mark.parametrize(('distance', 'far'), [(1.999, True), (2.0, False)])
+def test_track_is_longer_than_the_least_distance(distance, far):
+    track = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
+    assert (agreeing_track(track, track, np.zeros(2), distance) is not None) == far

@@ -72,3 +72,18 @@ def test_spread_positions_are_distinct_and_within_reach(count, wanted):
     positions = spread_positions(count, wanted)
     assert len(positions) == min(count, wanted) == len(set(positions.tolist()))
     assert all(0 <= p < count for p in positions)
+
+
+@pytest.mark.parametrize(
+    ('count', 'wanted', 'positions'),
+    [
+        (10, 2, [0, 9]),
+        (10, 3, [0, 4, 9]),
+        (10, 1, [0]),
+        (10, 0, []),
+        (3, 3, [0, 1, 2]),
+        (2, 9, [0, 1]),
+    ],
+)
+def test_few_positions_reach_from_the_first_to_the_last(count, wanted, positions):
+    assert spread_positions(count, wanted).tolist() == positions

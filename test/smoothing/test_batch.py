@@ -186,3 +186,39 @@ def test_every_kind_of_variable_is_copied_also_under_another_name():
     assert target.atVector(velocity_key(4)).tolist() == [1.0, 2.0, 3.0]
     assert target.atConstantBias(bias_key(4)).vector().tolist() == [1, 1, 1, 2, 2, 2]
     assert key_name(velocity_key(4)) == 'v4'
+
+
+def test_velocity_and_bias_that_nothing_determines_are_dropped_where_they_are():
+    values = gtsam.Values()
+    values.insert(pose_key(0), STEP)
+    values.insert(velocity_key(0), np.array([1.0, 2.0, 3.0]))
+    values.insert(bias_key(0), gtsam.imuBias.ConstantBias(np.full(3, 0.1), np.full(3, 0.2)))
+    values.insert(velocity_key(1), np.zeros(3))
+    values.insert(bias_key(1), gtsam.imuBias.ConstantBias())
+    noise = gtsam.noiseModel.Isotropic.Sigma(3, 0.5)
+    # One axis of each is tied to the next cluster's, so that the variables are in the graph.
+    ties = [
+        gtsam.BetweenFactorVector(velocity_key(0), velocity_key(1), np.ones(3), noise),
+        gtsam.BetweenFactorConstantBias(
+            bias_key(0),
+            bias_key(1),
+            gtsam.imuBias.ConstantBias(),
+            gtsam.noiseModel.Isotropic.Sigma(6, 0.5),
+        ),
+    ]
+    held = pose_prior(pose_key(0), STEP, pose_sigmas(0.5, 0.1), 0).factor
+    dropped = [velocity_key(0), velocity_key(1), bias_key(0), bias_key(1)]
+    split = eliminate(make_graph([held, *ties]), values, dropped)
+    kept = gtsam.Values()
+    copy_value(values, pose_key(0), kept)
+    marginal = gtsam.Marginals(make_graph(split.factors), kept).marginalCovariance(pose_key(0))
+    assert np.sqrt(np.diag(marginal)) == pytest.approx([0.1] * 3 + [0.5] * 3, rel=1e-6)
+    still = gtsam.VectorValues()
+    still.insert(pose_key(0), np.zeros(6))
+    steps = split.conditional.optimize(still)
+    # They share the way to where the tie holds, as each is held alike.
+    apart = values.atVector(velocity_key(1)) - values.atVector(velocity_key(0))
+    change = steps.at(velocity_key(1)) - steps.at(velocity_key(0))
+    assert apart + change == pytest.approx(np.ones(3), abs=1e-3)
+    assert steps.at(velocity_key(0)) == pytest.approx(-steps.at(velocity_key(1)), abs=1e-3)
+    assert steps.at(bias_key(0)) == pytest.approx(-steps.at(bias_key(1)), abs=1e-3)

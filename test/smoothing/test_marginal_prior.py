@@ -187,6 +187,8 @@ def test_problem_on_a_prior_has_the_optimum_of_the_whole_graph(seed):
     for i in range(11):
         sigma = np.sqrt(np.diag(marginals.marginalCovariance(pose_key(i))).max())
         assert difference(batch, solved.values, pose_key(i)) < 0.1 * sigma
+        own = solved.values.atPose3(pose_key(i)).localCoordinates(solved.pose(pose_key(i)))
+        assert np.abs(own).max() < 1e-9
     assert solved.error == pytest.approx(squared_error(new, solved.values))
 
 
