@@ -383,3 +383,36 @@ def test_five_witnesses_in_a_row_prove_a_leap_and_four_do_not():
                 sink.push(measurement('left', 95))
         sink.flush()
         assert sum(sink.drops.values()) == count
+
+
+def test_grid_starts_at_the_oldest_measurement_that_is_in_time():
+    # The fix is late, but not later than it may be: nothing is handed out before it.
+    sink = buffer(('left', 'gps'))
+    for t in range(100, 700, 50):
+        sink.push(measurement('left', t))
+        sink.pop_ready()
+    sink.push(measurement('gps', 60))
+    windows = contents(sink.flush())
+    assert windows[0][:2] == (60, 160)
+    assert windows[0][2] == ((60, 'gps'), (100, 'left'), (150, 'left'))
+    assert sink.late == 0 and not sink.drops
+
+
+def test_samples_alone_are_one_window_from_the_first_to_just_behind_the_last():
+    sink = buffer(('imu',))
+    windows = run(sink, [measurement('imu', t) for t in (30, 10, 20, 40, 50, 55)])
+    assert [(window.start - EPOCH, window.end - EPOCH) for window in windows] == [
+        (10 * MS, 55 * MS + 1)
+    ]
+    assert len(windows[0].imu) == 6
+
+
+@pytest.mark.parametrize('late', [0, 1])
+def test_window_is_closed_once_all_have_reached_its_end(late):
+    sink = buffer(('left', 'right'))
+    for t in (0, 10, 20):
+        sink.push(measurement('left', t))
+        sink.push(measurement('right', t))
+    sink.push(measurement('left', 100))
+    sink.push(measurement('right', 100 - late))
+    assert len(sink.pop_ready()) == 1 - late

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from turning_car import CHAINS, MS, imu_series, known_state, problem_of, truth, windows
 from turning_car import settings as car_settings
 
+import incremental_mapper.selection.beam_search as beam_module
 from incremental_mapper.candidates.enumeration import candidates
 from incremental_mapper.scoring.criteria import ByFunction
 from incremental_mapper.selection.beam_search import beam_search
@@ -185,3 +186,21 @@ def test_prefix_that_cannot_be_solved_is_not_extended():
     (seen,) = [item for item in problem.inputs.prepared.values() if item.core.kind == 'gnss']
     seen.enu[0] = np.nan
     assert searched(problem) == []
+
+
+@pytest.mark.parametrize(
+    ('position', 'spent', 'extended', 'width'),
+    [
+        (0, 0.0, 0, 50),  # nothing is known yet of the pace
+        (4, 2.0, 40, 26),  # 8 s left for 6 layers at 0.05 s an extension
+        (4, 2.0, 400, 50),  # the beam is wide enough to be cheap
+        (2, 4.0, 300, 18),  # each prefix has three extensions: 6 s / 8 / 0.0133 s / 3
+        (4, 12.0, 40, 1),  # no time is left
+        (9, 9.9, 40, 1),
+    ],
+)
+def test_beam_is_as_wide_as_the_pace_so_far_allows(monkeypatch, position, spent, extended, width):
+    problem = problem_of({(20 + 10 * i) * MS: {'left'} for i in range(10)})
+    monkeypatch.setattr(beam_module.time, 'perf_counter', lambda: 100.0 + spent)
+    search = beam_module._Search(problem, lambda *_: ByFunction('', float), 50, 10.0)
+    assert search._width(position, 100.0, extended) == width

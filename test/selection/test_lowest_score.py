@@ -122,3 +122,31 @@ def test_least_time_shift_is_exact_with_and_without_enumeration():
     assert searched.enumerated < enumerated.enumerated
     assert searched.solved == enumerated.solved == 0
     assert enumerated.score_name == 'time_shift'
+
+
+def test_search_goes_on_from_the_second_best_where_the_best_has_no_better_neighbour():
+    config = car_settings(selection=SMALL_BEAM)
+    problem = problem_of(LARGE, config=config)
+    wanted = LeastTimeShift().select(problem_of(LARGE)).winner
+    base = base_candidate(problem.elements, problem.head, problem.imu)
+    bounds = {(cluster.first, cluster.last) for cluster in wanted.clusters}
+    assert base != wanted
+
+    def score(proposal):
+        # The conventional graph looks as if nothing but the best of all were better.
+        if proposal.candidate == base:
+            return 0.5
+        own = {(cluster.first, cluster.last) for cluster in proposal.candidate.clusters}
+        links = {(link.start_stamp, link.end_stamp) for link in proposal.candidate.connections}
+        others = {(link.start_stamp, link.end_stamp) for link in wanted.connections}
+        return float(len(own ^ bounds) + len(links ^ others))
+
+    assert LowestScore.of('deceptive', score).select(problem).winner == wanted
+
+
+def test_strategy_of_ones_own_is_warmed_up_by_what_it_brings_along():
+    called = []
+    criterion = LowestScore.of('none', lambda proposal: 0.0)
+    assert criterion.warm_up() is None
+    LowestScore(lambda *_: None, lambda: called.append(True)).warm_up()
+    assert called == [True]

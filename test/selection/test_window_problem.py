@@ -125,3 +125,8 @@ def test_series_and_frontier_are_handed_on():
     assert found.series is series
     assert found.frontier == Frontier()
     assert list(found.prepared) == [scan(50 * MS).core]
+
+
+def test_first_window_has_no_cluster_to_connect_from():
+    assert problem_of(WINDOW, GraphState()).head is None
+    assert problem_of(WINDOW).head == 0
