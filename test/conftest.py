@@ -13,16 +13,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from drive_edits import FILES, cut_drive
 from hypothesis import settings as hypothesis_settings
 
 from incremental_mapper.cli.convert import convert
 from incremental_mapper.cli.main import main
 from incremental_mapper.datasets.simulated.folder import simulate
 from incremental_mapper.datasets.simulated.options import MotionKind, SimulationOptions
-from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.trajectory import read_tum
 
-FILES = {'trajectory.tum', 'map.ply', 'graph.g2o', 'graph.json', 'windows.csv', 'stats.json'}
 UNCOUNTED = {'bad_line', 'bad_name'}
 """Reasons of lines and files that never were a measurement, which inputs do not announce."""
 LIGHT_SECONDS = 2.3
@@ -173,23 +172,6 @@ def light_drive(drive, tmp_path_factory):
     shutil.copytree(drive, folder)
     cut_drive(folder, LIGHT_SECONDS, every=5)
     return folder
-
-
-def cut_drive(folder, seconds, every=1):
-    """Keep the first ``seconds`` of a KAIST folder, and of its scans only some points."""
-    data = folder / 'sensor_data'
-    tables = [data / f'{name}.csv' for name in ('xsens_imu', 'vrs_gps')]
-    tables += [data / f'VLP_{side}_stamp.csv' for side in ('left', 'right')]
-    first = min(int(path.stem) for path in data.glob('VLP_*/*.bin'))
-    end = first + round(seconds * NANOSECONDS)
-    for table in tables:
-        lines = table.read_text().splitlines(keepends=True)
-        table.write_text(''.join(line for line in lines if int(line.split(',')[0]) < end))
-    for path in data.glob('VLP_*/*.bin'):
-        if int(path.stem) >= end:
-            path.unlink()
-        else:
-            np.fromfile(path, dtype='<f4').reshape(-1, 4)[::every].tofile(path)
 
 
 @pytest.fixture

@@ -1,10 +1,12 @@
-"""Changes to the files of a KAIST folder, and what is left of it."""
+"""Changes to the files of a KAIST folder, and what is left of it; the files of a run."""
 
 import numpy as np
 
 from incremental_mapper.datasets.truth import read_truth
+from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.trajectory import match_truth
 
+FILES = {'trajectory.tum', 'map.ply', 'graph.g2o', 'graph.json', 'windows.csv', 'stats.json'}
 STATE, LATITUDE, LONGITUDE = 6, 1, 2
 
 
@@ -39,3 +41,20 @@ def worst_offset(run, folder):
     estimate, truth = match_truth(run.trajectory, read_truth(folder / 'global_pose.csv'))
     shift = estimate.positions[:, :2] - truth.positions[:, :2]
     return np.linalg.norm(shift - np.median(shift, axis=0), axis=1).max()
+
+
+def cut_drive(folder, seconds, every=1):
+    """Keep the first ``seconds`` of a KAIST folder, and of its scans only some points."""
+    data = folder / 'sensor_data'
+    tables = [data / f'{name}.csv' for name in ('xsens_imu', 'vrs_gps')]
+    tables += [data / f'VLP_{side}_stamp.csv' for side in ('left', 'right')]
+    first = min(int(path.stem) for path in data.glob('VLP_*/*.bin'))
+    end = first + round(seconds * NANOSECONDS)
+    for table in tables:
+        lines = table.read_text().splitlines(keepends=True)
+        table.write_text(''.join(line for line in lines if int(line.split(',')[0]) < end))
+    for path in data.glob('VLP_*/*.bin'):
+        if int(path.stem) >= end:
+            path.unlink()
+        else:
+            np.fromfile(path, dtype='<f4').reshape(-1, 4)[::every].tofile(path)

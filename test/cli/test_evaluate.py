@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import cut_drive
 from distributed import LocalCluster
+from drive_edits import cut_drive
 from evo.core import metrics, sync
 from evo.core.metrics import PoseRelation
 from evo.core.trajectory import PoseTrajectory3D

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from conftest import FILES
+from drive_edits import FILES
 
 pytest.importorskip('rclpy', reason='rclpy is not installed (extra "ros")')
 

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import pytest
 import yaml
-from conftest import FILES
+from drive_edits import FILES
 
 pytest.importorskip('rclpy', reason='rclpy is not installed (extra "ros")')
 
