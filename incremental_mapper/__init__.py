@@ -5,7 +5,7 @@ loaded when they are first asked for, so that ``import incremental_mapper`` cost
 
     from incremental_mapper import map_drive
     run = map_drive('urban26', out='map', config='config/kaist.yaml')
-    print(run.stats['compression_vertices_percent'], run.errors)
+    print(run.statistics.mapped.compression_vertices_percent, run.statistics.errors)
 """
 
 from importlib import import_module
