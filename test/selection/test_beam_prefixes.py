@@ -204,3 +204,26 @@ def test_beam_is_as_wide_as_the_pace_so_far_allows(monkeypatch, position, spent,
     monkeypatch.setattr(beam_module.time, 'perf_counter', lambda: 100.0 + spent)
     search = beam_module._Search(problem, lambda *_: ByFunction('', float), 50, 10.0)
     assert search._width(position, 100.0, extended) == width
+
+
+def test_criterion_of_prefixes_is_told_of_scans_near_dead_reckoning():
+    problem = problem_of(WINDOW)
+    seen = []
+
+    def make(_, proposals, exact):
+        assert not exact
+        seen.extend(proposal.poses for proposal in proposals)
+        return ByFunction('test', lambda proposal: 0.0)
+
+    beam_search(problem, make, 4, UNLIMITED)
+    new = [core.stamp for core in problem.inputs.prepared if core.kind == 'lidar']
+    expected = np.array([truth(stamp).matrix() for stamp in [*new, *CHAINS.values()]])
+    middle, one, other = seen
+    assert middle == pytest.approx(expected, abs=2e-3)
+    # Every other scan is moved the other way, by four centimetres against each other.
+    steps = one - middle
+    assert steps[:, :3, 3] == pytest.approx(
+        np.array([[0.02, 0.0, 0.02], [-0.02, 0.0, -0.02]] * 3)[: len(steps)], abs=1e-12
+    )
+    assert np.abs(steps[:, :3, :3]).max() == 0.0
+    assert other - middle == pytest.approx(-steps, abs=1e-12)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from turning_car import MS, known_state, problem_of
+from turning_car import MS, imu_series, known_state, problem_of
 from turning_car import settings as car_settings
 
 from incremental_mapper.candidates.enumeration import base_candidate, candidates
@@ -150,3 +150,20 @@ def test_strategy_of_ones_own_is_warmed_up_by_what_it_brings_along():
     assert criterion.warm_up() is None
     LowestScore(lambda *_: None, lambda: called.append(True)).warm_up()
     assert called == [True]
+
+
+def test_window_whose_search_finds_nothing_connected_tries_the_least_shifted_candidates():
+    selection = {'max_candidates': 8, 'beam_width': 1, 'time_budget': 0.001}
+    config = car_settings(selection=selection, preintegration={'max_gap': 0.03})
+    # The last fix is too far from any sample: only merged with the others it is connected.
+    series = imu_series(-50 * MS, 50 * MS, MS)
+    stamps = {40 * MS: {'gps'}, 41 * MS: {'gps'}, 90 * MS: {'gps'}}
+    problem = problem_of(stamps, config=config, series=series)
+    # No prefix can be solved, so none gets through.
+    for item in problem.inputs.prepared.values():
+        item.enu[0] = np.nan
+    choice = LowestScore.of('any', lambda proposal: 0.0).select(problem)
+    assert choice.winner is None and choice.cut
+    base = base_candidate(problem.elements, problem.head, problem.imu)
+    assert choice.tried[0].candidate == base and not choice.tried[0].connected
+    assert choice.connected >= 1
