@@ -155,13 +155,14 @@ def test_strategy_of_ones_own_is_warmed_up_by_what_it_brings_along():
 def test_window_whose_search_finds_nothing_connected_tries_the_least_shifted_candidates():
     selection = {'max_candidates': 8, 'beam_width': 1, 'time_budget': 0.001}
     config = car_settings(selection=selection, preintegration={'max_gap': 0.03})
-    # The last fix is too far from any sample: only merged with the others it is connected.
+    # The last fix is too far from any sample: only merged with the two before it is connected.
     series = imu_series(-50 * MS, 50 * MS, MS)
-    stamps = {40 * MS: {'gps'}, 41 * MS: {'gps'}, 90 * MS: {'gps'}}
+    stamps = {40 * MS: {'gps'}, 49 * MS: {'gps', 'left'}, 81 * MS: {'gps'}}
     problem = problem_of(stamps, config=config, series=series)
     # No prefix can be solved, so none gets through.
     for item in problem.inputs.prepared.values():
-        item.enu[0] = np.nan
+        if item.core.kind == 'gnss':
+            item.enu[0] = np.nan
     choice = LowestScore.of('any', lambda proposal: 0.0).select(problem)
     assert choice.winner is None and choice.cut
     base = base_candidate(problem.elements, problem.head, problem.imu)
