@@ -222,3 +222,26 @@ def test_nearest_sample_is_the_one_whose_stamp_differs_least():
         assert found.stamps.tolist() == [nearest]
         assert found.gyro.tolist() == [[float(nearest)] * 3]
     assert len(EMPTY_SERIES.nearest(5).stamps) == 0
+
+
+def test_noise_of_the_imu_is_what_the_settings_say():
+    chosen = ImuSettings(
+        accelerometer_noise=0.2,
+        gyroscope_noise=0.03,
+        accelerometer_bias_walk=0.004,
+        gyroscope_bias_walk=0.0005,
+        integration_sigma=0.06,
+        gravity=9.7,
+    )
+    mounted = np.eye(4)
+    mounted[:3, 3] = 1.0, 2.0, 3.0
+    found = preintegration_parameters(chosen, mounted)
+    for covariance, sigma in (
+        (found.getAccelerometerCovariance(), 0.2),
+        (found.getGyroscopeCovariance(), 0.03),
+        (found.getBiasAccCovariance(), 0.004),
+        (found.getBiasOmegaCovariance(), 0.0005),
+        (found.getIntegrationCovariance(), 0.06),
+    ):
+        assert covariance == pytest.approx(np.eye(3) * sigma**2, rel=1e-12)
+    assert found.getBodyPSensor().matrix() == pytest.approx(mounted)

@@ -18,11 +18,13 @@ from driven_room import (
     seen_from,
     stamp,
 )
+from scipy.spatial import cKDTree
 
 from incremental_mapper.frontend.front_end import FrontEnd
 from incremental_mapper.frontend.lidar_odometry import ScanPreparer
 from incremental_mapper.measurements import LidarScan
 from incremental_mapper.settings import make_config
+from incremental_mapper.voxels import thin
 
 
 @pytest.mark.parametrize('method', METHODS)
@@ -193,3 +195,22 @@ def test_scans_of_a_lidar_can_be_prepared_in_another_process():
         assert found.core == expected.core
         assert found.previous == expected.previous
     assert found.T_previous_current.equals(expected.T_previous_current, 1e-12)
+
+
+def test_match_that_explains_too_little_of_a_scan_is_rejected():
+    end = front_end(method='gicp')
+    found = end.prepare((scan(0.0, room()),))
+    found += end.prepare((scan(0.1, room(seed=1) + np.array([45.0, 45.0, 10.0])),))
+    assert [item.previous for item in found] == [None, None]
+    assert end.notes == {'left: match rejected': 1}
+
+
+def test_scan_for_a_coarse_map_is_thinned_finely_enough_to_be_matched_first():
+    tree = {'map': {'voxel_size': 3.0}, 'odometry': {'voxel_size': 2.0}, 'lidars': {'left': {}}}
+    preparer = ScanPreparer('left', make_config(tree), Counter())
+    points = room().astype(np.float32)
+    expected = thin(thin(points.astype(np.float64), 0.3 * 2.0), 3.0)
+    found = preparer.prepare(scan(0.0, points)).thinned
+    # But for points that rounding moves across the edge of a voxel.
+    apart, _ = cKDTree(expected).query(found)
+    assert np.median(apart) < 1e-4

@@ -48,3 +48,12 @@ def test_deskewing_thinned_points_is_thinning_deskewed_ones_to_a_few_millimetres
         mates = exact[(cells == cell).all(axis=1)]
         if len(mates):
             assert np.linalg.norm(point - mates.mean(axis=0)) < 0.005
+
+
+@pytest.mark.parametrize(
+    ('times', 'middle'), [(None, 0.0), ([], 0.0), ([0.04], 0.04), ([0.0, 0.02, 0.1], 0.04)]
+)
+def test_middle_of_a_sweep_is_the_mean_of_its_times(times, middle):
+    times = None if times is None else np.array(times)
+    sweep = Sweep(EPOCH, 'left', np.zeros((3, 3 if times is None else len(times))), times)
+    assert sweep.middle == pytest.approx(middle)

@@ -70,3 +70,13 @@ def test_motion_is_in_the_frame_of_the_previous_scan_however_far_the_car_has_tur
         match = matcher.match(seen_from(pose, room(seed=i)), bend)
     # After 0.9 rad, the same motion has another direction in the frame of the first scan.
     assert_close(match.T_previous_current, bend, 0.06, 0.01)
+
+
+@pytest.mark.parametrize('offset', [(80.0, 0.0), (-80.0, 0.0), (0.0, 80.0), (0.0, -80.0)])
+def test_what_is_far_in_any_direction_takes_no_part_in_the_match(offset):
+    settings = OdometrySettings(method=OdometryMethod.GICP, match_range=45)
+    matcher, alone = make_matcher(settings), make_matcher(settings)
+    for i, pose in enumerate(poses(2)):
+        near, far = seen_from(pose, room(seed=i)), room(seed=5) + [*offset, 0.0]
+        found = matcher.match(np.vstack([near, far]), STEP), alone.match(near, STEP)
+    assert_close(*(item.T_previous_current for item in found), 1e-9, 1e-9)

@@ -416,3 +416,12 @@ def test_window_is_closed_once_all_have_reached_its_end(late):
     sink.push(measurement('left', 100))
     sink.push(measurement('right', 100 - late))
     assert len(sink.pop_ready()) == 1 - late
+
+
+@pytest.mark.parametrize(('ahead', 'leap'), [(10_000, False), (10_001, True)])
+def test_first_stamp_may_be_ten_seconds_ahead_of_the_others(ahead, leap):
+    sink = buffer(('left',))
+    for t in (ahead + 20, 0, 10, 20, 30):
+        sink.push(measurement('left', t))
+    sink.flush()
+    assert sink.drops == ({('left', 'stamp_leap'): 1} if leap else {})

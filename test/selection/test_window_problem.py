@@ -56,10 +56,12 @@ def test_enu_stays_where_it_was_put_and_is_nowhere_before_a_fix():
 def test_window_starts_from_the_head_and_its_own_velocity_and_bias():
     state = known_state()
     state.last_velocity = np.full(3, 99.0)
+    state.last_bias = gtsam.imuBias.ConstantBias(np.ones(3), np.ones(3))
     start = problem_of(WINDOW, state).inputs.head_state
     assert start.stamp == 0
     assert_poses(start.pose, truth(0))
     assert start.velocity == pytest.approx(velocity(0), abs=1e-6)
+    assert start.bias.vector() == pytest.approx(np.zeros(6), abs=1e-9)
 
 
 def test_head_without_velocity_takes_the_last_one_that_was_known():
