@@ -7,6 +7,7 @@ from turning_car import settings as car_settings
 
 from incremental_mapper.candidates.enumeration import base_candidate, candidates
 from incremental_mapper.candidates.local_moves import neighbours
+from incremental_mapper.selection import lowest_score
 from incremental_mapper.selection.least_time_shift import LeastTimeShift
 from incremental_mapper.selection.lowest_score import LowestScore
 from incremental_mapper.variables import pose_key
@@ -127,7 +128,9 @@ def test_least_time_shift_is_exact_with_and_without_enumeration():
 def test_search_goes_on_from_the_second_best_where_the_best_has_no_better_neighbour():
     config = car_settings(selection=SMALL_BEAM)
     problem = problem_of(LARGE, config=config)
-    wanted = LeastTimeShift().select(problem_of(LARGE)).winner
+    connected = [item for item in all_candidates(problem) if not problem.unconnected(item)]
+    # As far from the conventional graph as it gets.
+    wanted = min(connected, key=lambda item: (len(item.clusters), len(item.connections)))
     base = base_candidate(problem.elements, problem.head, problem.imu)
     bounds = {(cluster.first, cluster.last) for cluster in wanted.clusters}
     assert base != wanted
@@ -168,3 +171,21 @@ def test_window_whose_search_finds_nothing_connected_tries_the_least_shifted_can
     base = base_candidate(problem.elements, problem.head, problem.imu)
     assert choice.tried[0].candidate == base and not choice.tried[0].connected
     assert choice.connected >= 1
+
+
+def test_search_ends_when_nothing_better_was_found_for_long_enough(monkeypatch):
+    monkeypatch.setattr(lowest_score, 'PATIENCE', 2)
+    config = car_settings(selection=SMALL_BEAM)
+    problem = problem_of(LARGE, config=config)
+    choice = LowestScore.of('same', lambda proposal: 1.0).select(problem)
+    every = [item for item in all_candidates(problem) if not problem.unconnected(item)]
+    # Two candidates were changed in vain: most of the others have not been looked at.
+    assert len(choice.tried) < len(every) / 3
+
+
+def test_finalists_of_the_beam_are_looked_at_behind_the_conventional_graph():
+    selection = {'max_candidates': 1, 'beam_width': 3, 'time_budget': 60.0}
+    problem = problem_of(LARGE, config=car_settings(selection=selection), limit=3)
+    choice = by_number(LeastTimeShift().select(problem_of(LARGE)).winner).select(problem)
+    tried = [item.candidate for item in choice.tried]
+    assert len(tried) == len(set(tried)) > 4
