@@ -137,8 +137,12 @@ def test_search_goes_on_from_the_second_best_where_the_best_has_no_better_neighb
 
     def score(proposal):
         # The conventional graph looks as if nothing but the best of all were better.
+        clusters = proposal.candidate.clusters
         if proposal.candidate == base:
             return 0.5
+        # The beam is led to that end, too.
+        if not clusters or clusters[-1].last < len(problem.elements) - 1:
+            return -float(len(clusters))
         own = {(cluster.first, cluster.last) for cluster in proposal.candidate.clusters}
         links = {(link.start_stamp, link.end_stamp) for link in proposal.candidate.connections}
         others = {(link.start_stamp, link.end_stamp) for link in wanted.connections}
