@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from turning_car import CHAINS, MS, imu_series, known_state, problem_of, truth, windows
+from turning_car import CHAINS, MS, imu_series, known_state, motion, problem_of, truth, windows
 from turning_car import settings as car_settings
 
 import incremental_mapper.selection.beam_search as beam_module
@@ -104,7 +104,7 @@ def test_scans_that_a_prefix_has_not_placed_yet_are_where_dead_reckoning_puts_th
 
 def test_prefix_that_was_put_right_takes_the_rest_of_the_window_along():
     # The fix says that the car is a metre further to the north.
-    stamps = {40 * MS: {'right'}, 140 * MS: {'gps'}, 190 * MS: {'left'}}
+    stamps = {40 * MS: {'left'}, 140 * MS: {'gps', 'right'}, 190 * MS: {'left'}}
     problem = problem_of(stamps, known_state(sigma=0.5))
     (moved,) = [item for item in problem.inputs.prepared.values() if item.core.sensor == 'gps']
     moved.enu[:] += [0.0, 1.0, 0.0]
@@ -117,8 +117,10 @@ def test_prefix_that_was_put_right_takes_the_rest_of_the_window_along():
 
     searched(problem, score)
     before, after = seen[(0, 0),], seen[(0, 0), (1, 1)]
-    # Placed by the fix, the last scan moves with the cluster before it.
-    assert 0.1 < np.linalg.norm(after[1, :3, 3] - before[1, :3, 3]) < 2.0
+    # Placed by the fix, the last scan moves with the cluster before it, as the car went on.
+    assert 0.1 < np.linalg.norm(after[2, :3, 3] - before[2, :3, 3]) < 2.0
+    went = np.linalg.inv(after[1]) @ after[2]
+    assert went == pytest.approx(motion(140 * MS, 190 * MS).matrix(), abs=5e-3)
 
 
 @pytest.mark.parametrize('width', [1, 2, 3])
