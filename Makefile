@@ -8,6 +8,7 @@ BENCH_DIR ?= bench_out
 PICTURES_DIR ?= pictures_out
 MUTANTS_DIR ?= mutants_out
 MUTANTS ?= 60
+TEST_JOBS ?= 2
 BENCH_LONG ?= 600
 BENCH_HOUR ?= 60
 TABLE_CONFIG ?= config/kaist.yaml
@@ -27,7 +28,7 @@ help:
 	@echo '             TIMING=DIR holds, and write docs/table.md, .csv and .tex; JOBS=N side by side'
 	@echo 'make bench   all figures of the speed in one table; BENCH_LONG=S and BENCH_HOUR=MIN set the'
 	@echo '             long drives (600 s and 60 min, 0 leaves them out); takes half an hour'
-	@echo 'make test    run the tests'
+	@echo 'make test    run the tests, TEST_JOBS ($(TEST_JOBS)) files at a time'
 	@echo 'make mutants  put MUTANTS ($(MUTANTS)) faults into each core room and count those that a test'
 	@echo '             notices; 0 tries all that are possible; takes about an hour, and goes on where it ended'
 	@echo 'make lint    ruff and the import contracts'
@@ -81,7 +82,7 @@ bench: $(INSTALLED)
 	$(BIN)/python benchmarks/bench.py $(BENCH_DIR) --long $(BENCH_LONG) --hour $(BENCH_HOUR)
 
 test: $(INSTALLED)
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n $(TEST_JOBS) --dist loadfile
 
 mutants: $(INSTALLED)
 	$(BIN)/python benchmarks/mutants.py $(MUTANTS_DIR) --per-room $(MUTANTS) --jobs $(JOBS)

@@ -14,6 +14,7 @@ CLUSTER = ['distributed>=2024.1']
 TESTS = [
     'pytest==9.0.*',
     'pytest-timeout>=2.3',
+    'pytest-xdist>=3.6',
     'hypothesis>=6.100',
     'evo>=1.31',
     'import-linter>=2.1',

@@ -157,9 +157,9 @@ def test_best_prefixes_are_kept():
 
 def test_as_many_finalists_as_can_be_solved_together_and_eight_at_the_least():
     problem = problem_of({**WINDOW, 165 * MS: {'gps'}, 197 * MS: {'right'}})
-    assert len(searched(problem, width=80)) == 240 // 6 < len(connected(problem))
+    assert len(searched(problem, width=50)) == 240 // 6 < len(connected(problem))
     many = {(20 + 10 * i) * MS: {'left'} for i in range(31)}
-    assert len(searched(problem_of(many), width=20)) == 8
+    assert len(searched(problem_of(many), width=10)) == 8
 
 
 def test_search_without_time_keeps_one_prefix_of_each_length_and_gives_a_result():
