@@ -1,6 +1,6 @@
 """The factors of a window's candidates; what candidates share is built once."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import gtsam
@@ -138,11 +138,19 @@ class FactorBuilder:
         item = self._in.prepared[core]
         return isinstance(item, PreparedScan) and item.previous is not None
 
-    def continued_scans(self) -> set[tuple[str, int]]:
-        """Sensor and stamp of the scans that a scan of this window is linked to."""
+    def continued_scans(self, core: Iterable[CoreMeasurement]) -> set[tuple[str, int]]:
+        """Earlier scans that some scans are matched to.
+
+        Args:
+            core: Core measurements of the window.
+
+        Returns:
+            Their sensors and stamps (ns).
+        """
+        items = [self._in.prepared[one] for one in core]
         return {
-            (core.sensor, item.previous)
-            for core, item in self._in.prepared.items()
+            (item.core.sensor, item.previous)
+            for item in items
             if isinstance(item, PreparedScan) and item.previous is not None
         }
 

@@ -78,7 +78,12 @@ class _Search:
         self._seconds = seconds
         self._initial = gtsam.Values()  # of every variable that any prefix has
         self._clusters: dict[tuple[int, int], Cluster | None] = {}
-        self._continued = problem.factors.continued_scans()
+        # The last element with a scan that is matched to an earlier one, by that one.
+        self._continued = {
+            scan: index
+            for index, element in enumerate(problem.elements)
+            for scan in problem.factors.continued_scans(element)
+        }
         self._criterion = self._make(make_criterion)
 
     def run(self) -> list[Candidate]:
@@ -216,6 +221,13 @@ class _Search:
         for sensor, stamp in homes:
             newest[sensor] = max(stamp, newest.get(sensor, stamp))
         needed = {pose_key(homes[sensor, stamp]) for sensor, stamp in newest.items()}
+        # A scan with too few points is the newest one, and the next is matched to the one before.
+        placed = candidate.clusters[-1].last
+        needed |= {
+            pose_key(homes[scan])
+            for scan, element in self._continued.items()
+            if element > placed and scan in homes
+        }
         # A chain that starts anew goes on from the last velocity and bias.
         inertial = set[int]()
         if candidate.connections:

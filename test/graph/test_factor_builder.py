@@ -256,7 +256,8 @@ def test_scans_that_have_odometry_and_those_that_it_starts_from_are_known():
     left, seen, right = items_at(WINDOW)
     assert problem.factors.has_odometry(left.core) and problem.factors.has_odometry(right.core)
     assert not problem.factors.has_odometry(seen.core)
-    assert problem.factors.continued_scans() == {('left', 0), ('right', -30 * MS)}
+    continued = problem.factors.continued_scans(problem.inputs.prepared)
+    assert continued == {('left', 0), ('right', -30 * MS)}
 
 
 def test_velocity_and_bias_may_change_for_a_millisecond_at_the_least():

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 import incremental_mapper.mapping.mapper as mapper_module
@@ -143,3 +144,22 @@ def test_little_time_makes_the_beam_narrow_and_still_gives_a_result(map_light, l
     run = map_light(light_drive, config=text, strategy='min_solver_error')
     assert run.status == 0
     assert run.stats['components'] == 1
+
+
+@pytest.mark.parametrize('strategy', ['mom', 'min_solver_error'])
+def test_scan_that_is_no_start_for_the_next_one_is_searched_around(
+    map_light, light_drive, light_copy, strategy, tmp_path
+):
+    # A sliver of a sweep has too few points to be matched: the next scan is matched to the one
+    # before it, whose pose must still be there when that scan is placed.
+    paths = sorted((light_copy / 'sensor_data' / 'VLP_left').glob('*.bin'))
+    for path in paths[3::7]:
+        np.fromfile(path, dtype='<f4').reshape(-1, 4)[:60].tofile(path)
+    text = 'window:\n  duration: 0.5\n'
+    whole = map_light(light_drive, config=text, strategy=strategy, out=tmp_path / 'whole')
+    run = map_light(light_copy, config=text, strategy=strategy)
+    assert run.status == 0
+    assert run.stats['cut_windows'] > 0
+    assert run.stats['notes'] == {'left: too few points to match': len(paths[3::7])}
+    assert run.stats['components'] == 1
+    assert run.stats['ate_rmse_m'] < 1.3 * whole.stats['ate_rmse_m']
