@@ -1,6 +1,8 @@
 """Measurements in, G(t), poses, map and statistics out: the only place that keeps state."""
 
+import logging
 import time
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -11,6 +13,7 @@ from numpy.typing import NDArray
 from incremental_mapper.blas import single_threaded_blas
 from incremental_mapper.compiled import waiting
 from incremental_mapper.config import Config
+from incremental_mapper.errors import MapperError
 from incremental_mapper.frontend.front_end import FrontEnd, Preparation, Prepared
 from incremental_mapper.frontend.imu_preintegration import EMPTY_SERIES, preintegration_parameters
 from incremental_mapper.map.store import make_store
@@ -21,7 +24,7 @@ from incremental_mapper.mapping.load_shedding import NO_SHEDDING, LoadShedding
 from incremental_mapper.mapping.result import MapResult, NewestState, WindowResult
 from incremental_mapper.mapping.statistics import MapStatistics, Totals, map_statistics, window_row
 from incremental_mapper.mapping.window_buffer import Window, WindowBuffer, joined
-from incremental_mapper.measurements import NANOSECONDS, ImuSample, Measurement
+from incremental_mapper.measurements import NANOSECONDS, Drops, ImuSample, Measurement
 from incremental_mapper.selection.bridging import bridged
 from incremental_mapper.selection.choice import Choice
 from incremental_mapper.selection.strategies import find_strategy
@@ -31,6 +34,8 @@ from incremental_mapper.smoothing.batch import make_graph, optimize
 from incremental_mapper.smoothing.graph_state import GraphState
 from incremental_mapper.trajectory import from_matrices
 from incremental_mapper.variables import pose_key
+
+LOGGER = logging.getLogger('incremental_mapper')
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +86,7 @@ class Mapper:
         self._state = GraphState(store=store)
         self._base = BaseCount(round(config.preintegration.max_gap * NANOSECONDS))
         self._totals = Totals()
+        self._failed: Drops = Counter()
         self._rows: list[dict[str, Any]] = []
 
     @property
@@ -196,7 +202,7 @@ class Mapper:
             self._state,
             self._base,
             self._totals,
-            drops=self._buffer.drops + self._front_end.drops,
+            drops=self._buffer.drops + self._front_end.drops + self._failed,
             notes=self._front_end.notes,
             late=self._buffer.late,
             unused=[item.core for item in self._carried],
@@ -263,17 +269,23 @@ class Mapper:
         if not items:
             return self._close(frame, items, None)
         started = time.perf_counter()
-        problem = pose_problem(
-            items,
-            self._state,
-            self._series,
-            self._orientation,
-            self._parameters,
-            self.config,
-            self._shedding.candidates,
-        )
-        frame.seconds['candidates'] = time.perf_counter() - started
-        choice = self._strategy.select(problem)
+        try:
+            problem = pose_problem(
+                items,
+                self._state,
+                self._series,
+                self._orientation,
+                self._parameters,
+                self.config,
+                self._shedding.candidates,
+            )
+            frame.seconds['candidates'] = time.perf_counter() - started
+            choice = self._strategy.select(problem)
+        except MapperError:
+            raise
+        # The libraries below and strategies of users raise what they like: it costs this window.
+        except Exception:
+            return self._fail(frame, items)
         self._base.add_window(prepared, problem.imu)
         if choice.winner is None:
             waited = (items[-1].core.stamp - items[0].core.stamp) / NANOSECONDS
@@ -294,6 +306,26 @@ class Mapper:
         self._series = self._series.since(min(frontier.head_stamp, frontier.newest_stamp))
         frame.seconds['append'] = time.perf_counter() - started
         return self._close(frame, items, choice, committed)
+
+    def _fail(self, frame: '_Frame', items: Sequence[Prepared]) -> WindowResult:
+        """Leave out a window whose choice raised; G(t-1) is as it was."""
+        sensors = Counter(item.core.sensor for item in items)
+        told = ', '.join(f'{count} of {name}' for name, count in sorted(sensors.items()))
+        LOGGER.log(
+            logging.DEBUG if self._totals.failed_windows else logging.ERROR,
+            'window %d, %d ns to %d ns, failed and is left out with its measurements (%s); '
+            'further ones are only counted, as failed_windows',
+            self._totals.windows,
+            frame.start,
+            frame.end,
+            told,
+            exc_info=True,
+        )
+        self._totals.failed_windows += 1
+        for name, count in sensors.items():
+            self._failed[name, 'window_failed'] += count
+        self._carried = []
+        return self._close(frame, items, None)
 
     def _close(
         self,

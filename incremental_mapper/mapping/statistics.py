@@ -31,6 +31,7 @@ class Totals:
     merged_windows: int = 0
     bridges: int = 0
     solver_failures: int = 0
+    failed_windows: int = 0
     time_shift: int = 0
     solver_error: float = 0.0
     enumerated: int = 0
@@ -135,6 +136,7 @@ class MapStatistics:
     merged_windows: int
     bridges: int
     solver_failures: int
+    failed_windows: int
     weak_priors: int
     georeferenced: bool
     score_names: dict[str, int]
@@ -215,6 +217,7 @@ def map_statistics(
         merged_windows=totals.merged_windows,
         bridges=totals.bridges,
         solver_failures=totals.solver_failures,
+        failed_windows=totals.failed_windows,
         weak_priors=kinds[str(FactorKind.PRIOR_POSE)] - 1 if state.factors else 0,
         georeferenced=state.georeferenced,
         score_names=dict(totals.scores),

@@ -72,6 +72,8 @@ def summary(stats: Mapping[str, Any]) -> str:
     ]
     if dropped:
         rows.append(('not used', ', '.join(dropped)))
+    if stats['failed_windows']:
+        rows.append(('windows failed', f'{stats["failed_windows"]}, left out; the log says why'))
     rows += [('note', f'{text}: {count}x') for text, count in stats['notes'].items()]
     if stats['interrupted']:
         rows.append(('interrupted', 'the rest of the input was not read'))

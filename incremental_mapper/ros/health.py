@@ -15,7 +15,15 @@ from incremental_mapper.ros.subscriptions import GNSS, Inputs
 from incremental_mapper.ros.updates import WindowUpdate
 from incremental_mapper.ros.worker import Worker
 
-MAPPER_KEYS = ('windows', 'clusters', 'vertices', 'factors', 'components', 'georeferenced')
+MAPPER_KEYS = (
+    'windows',
+    'clusters',
+    'vertices',
+    'factors',
+    'components',
+    'georeferenced',
+    'failed_windows',
+)
 MB = 1e6
 
 
@@ -128,10 +136,9 @@ class Health:
             'fixes_used': stats.get('factors_by_kind', {}).get(GNSS, 0),
             'fixes_rejected': dict(drops.get(GNSS, {})),
         }
-        connected = values['components'] <= 1
-        return status(
-            f'{self._name}: map',
-            DiagnosticStatus.OK if connected else DiagnosticStatus.WARN,
-            'connected' if connected else 'the graph is not connected',
-            values,
-        )
+        level, message = DiagnosticStatus.OK, 'connected'
+        if values['components'] > 1:
+            level, message = DiagnosticStatus.WARN, 'the graph is not connected'
+        elif values['failed_windows']:
+            level, message = DiagnosticStatus.WARN, f'windows failed: {values["failed_windows"]}'
+        return status(f'{self._name}: map', level, message, values)

@@ -20,7 +20,9 @@ from ros_helpers import (
     map_offline,
 )
 
+import incremental_mapper.mapping.mapper as mapper_module
 from incremental_mapper.errors import ConfigError
+from incremental_mapper.mapping.commit import commit
 from incremental_mapper.ros import saving as saving_module
 from incremental_mapper.selection import strategies
 
@@ -166,17 +168,38 @@ class Explosive:
         return strategies.find_strategy('min_time_shift').select(problem)
 
 
+def test_choice_that_raises_costs_its_window_alone(start_node, messages, monkeypatch):
+    monkeypatch.setitem(strategies.BUILT_IN, 'explosive', Explosive())
+    session = start_node({'selection': {'strategy': 'explosive'}})
+    session.play(messages)
+    stats = session.finish()
+    assert stats['failed_windows'] == 1
+    assert stats['windows'] > 18 and stats['components'] == 1
+    found = session.diagnostics()
+    assert found['worker']['mapper_failures'] == 0
+    assert found['map']['failed_windows'] == 1
+    lost = Counter({name: found[name]['dropped']['window_failed'] for name in ('left', 'right')})
+    assert 0 < lost.total() <= 3
+    assert session.received['diagnostics'][-1].status[-1].message == 'windows failed: 1'
+
+
 @pytest.fixture
 def explosive(monkeypatch):
-    """Name of a strategy that raises in its tenth window."""
-    monkeypatch.setitem(strategies.BUILT_IN, 'explosive', Explosive())
-    return 'explosive'
+    """A mapper that raises once the choice of its tenth window is made."""
+    windows = count(1)
+
+    def explode(*arguments):
+        if next(windows) == 10:
+            raise ValueError('the mapper explodes')
+        return commit(*arguments)
+
+    monkeypatch.setattr(mapper_module, 'commit', explode)
 
 
 @pytest.mark.parametrize('saves', [True, False])
 def test_exception_in_the_mapper_loses_no_map(start_node, messages, tmp_path, explosive, saves):
     saving = {'save': {'on_shutdown': str(tmp_path / 'kept') if saves else ''}}
-    session = start_node({'selection': {'strategy': explosive}}, saving)
+    session = start_node({'selection': {'strategy': 'min_time_shift'}}, saving)
     session.play(messages)
     stats = session.finish()
     found = session.diagnostics()
