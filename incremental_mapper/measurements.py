@@ -21,6 +21,9 @@ Drops: TypeAlias = Counter[tuple[str, str]]
 """How many measurements were not used, by (sensor, reason)."""
 
 NANOSECONDS = 1_000_000_000
+NO_VERTICAL_SIGMA = 1e4
+"""Metres; standard deviation of the vertical of a fix that has none. So large that an hour of such
+fixes at 10 Hz still holds the height less than 50 m would."""
 
 
 class FixStatus(IntEnum):
@@ -30,6 +33,17 @@ class FixStatus(IntEnum):
     FIX = 0
     SBAS = 1
     GBAS = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Remark:
+    """What was wrong with a message that is used nevertheless.
+
+    ``reason`` is a word to count by, ``text`` says what, with values and what was done about it.
+    """
+
+    reason: str
+    text: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,14 +58,16 @@ class LidarScan:
     sensor: str
     points: Points
     point_times: NDArray[np.float32] | None = None
+    remarks: tuple[Remark, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GnssFix:
     """One satellite fix of the antenna.
 
-    Latitude and longitude in degrees and ellipsoidal altitude in metres (WGS-84); ``covariance``
-    is (3, 3) in m^2, east, north, up, or None where the receiver does not know it.
+    Latitude and longitude in degrees and ellipsoidal altitude in metres (WGS-84), NaN where the
+    receiver has none; ``covariance`` is (3, 3) in m^2, east, north, up, or None where the receiver
+    does not know it.
     """
 
     stamp: int
@@ -61,6 +77,7 @@ class GnssFix:
     altitude: float
     status: FixStatus
     covariance: Vector | None = None
+    remarks: tuple[Remark, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,7 +127,7 @@ def make_scan(
             'bad_shape', f'{sensor} at {stamp}: points have shape {points.shape}, expected (N, 3)'
         )
     # Not finite where a coordinate is not, and 0 at the origin only; one pass over each column.
-    with np.errstate(over='ignore'):
+    with np.errstate(over='ignore', invalid='ignore'):
         distance = np.abs(points[:, 0]) + np.abs(points[:, 1]) + np.abs(points[:, 2])
     keep = np.isfinite(distance) & (distance > 0)
     if point_times is not None:
@@ -152,13 +169,14 @@ def make_fix(
         sensor: Name of the receiver.
         latitude: Degrees, WGS-84.
         longitude: Degrees, WGS-84.
-        altitude: Metres above the ellipsoid.
+        altitude: Metres above the ellipsoid; what is not finite is no altitude.
         status: As in ``sensor_msgs/NavSatStatus``; what is above GBAS counts as GBAS.
         covariance: Nine numbers in m^2, east, north, up; None, or without positive finite
-            variances, where it is not known.
+            horizontal variances, where it is not known. A vertical variance that is none costs
+            the vertical only.
 
     Returns:
-        The fix.
+        The fix; one without a known vertical has a vertical deviation of ``NO_VERTICAL_SIGMA``.
 
     Raises:
         MeasurementError: The status says that there is no fix, or the position is no place.
@@ -166,28 +184,48 @@ def make_fix(
     where = f'{sensor} at {stamp}'
     if status < FixStatus.FIX:
         raise MeasurementError('no_fix', f'{where}: status {status} says there is no fix')
-    if not np.isfinite([latitude, longitude, altitude]).all():
+    if not np.isfinite([latitude, longitude]).all():
         raise MeasurementError(
-            'not_finite', f'{where}: position {latitude}, {longitude}, {altitude} is not finite'
+            'not_finite', f'{where}: position {latitude}, {longitude} is not finite'
         )
     if abs(latitude) > 90.0 or abs(longitude) > 360.0 or (latitude == 0.0 and longitude == 0.0):
         raise MeasurementError(
             'out_of_range', f'{where}: latitude {latitude}, longitude {longitude} are no place'
         )
-    known: Vector | None = None
-    if covariance is not None:
-        matrix: Vector = np.asarray(covariance, dtype=np.float64).reshape(3, 3)
-        if np.isfinite(matrix).all() and (np.diag(matrix) > 0).all():
-            known = matrix
+    known, remarks = _known_covariance(altitude, covariance)
     return GnssFix(
         stamp=stamp,
         sensor=sensor,
         latitude=float(latitude),
         longitude=float(longitude),
-        altitude=float(altitude),
+        altitude=float(altitude) if math.isfinite(altitude) else math.nan,
         status=FixStatus(min(int(status), FixStatus.GBAS)),
         covariance=known,
+        remarks=remarks,
     )
+
+
+def _known_covariance(
+    altitude: float, covariance: NDArray[np.floating] | None
+) -> tuple[Vector | None, tuple[Remark, ...]]:
+    """What is known of a fix's uncertainty (3, 3), and a remark where the vertical is not."""
+    no_altitude = Remark(
+        'no_altitude',
+        f'altitude {altitude}: only the horizontal part is used',
+    )
+    remarks = () if math.isfinite(altitude) else (no_altitude,)
+    if covariance is None:
+        return None, remarks
+    matrix: Vector = np.asarray(covariance, dtype=np.float64).reshape(3, 3)
+    if not np.isfinite(matrix[:2, :2]).all() or not (np.diag(matrix)[:2] > 0).all():
+        return None, remarks
+    if math.isfinite(altitude) and np.isfinite(matrix).all() and matrix[2, 2] > 0:
+        return matrix, remarks
+    flat: Vector = np.zeros((3, 3))
+    flat[:2, :2] = matrix[:2, :2]
+    flat[2, 2] = NO_VERTICAL_SIGMA**2
+    text = f'vertical variance {matrix[2, 2]:g}: only the horizontal part is used'
+    return flat, remarks or (Remark('no_vertical_variance', text),)
 
 
 def make_imu(

@@ -73,7 +73,8 @@ def run(args: argparse.Namespace) -> int:
     stop = Stop()
     with stop.listening(), tqdm(total=info.count, unit='msg', desc='map', disable=None) as bar:
         done, remarks = map_into(args.out_dir, drive, bar.update, stop)
-    for remark in remarks:
+    found = [note for note in done.statistics.input.notes if note not in info.notes]
+    for remark in (*found, *remarks):
         print(f'note: {remark}', file=sys.stderr)
     print(summary(done.statistics.to_tree()))
     return exit_status.INTERRUPTED if done.statistics.interrupted else 0

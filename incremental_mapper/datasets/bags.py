@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -19,6 +20,7 @@ from incremental_mapper.datasets.message_conversion import (
     imu_from_message,
     scan_from_message,
 )
+from incremental_mapper.datasets.remarks import Remarks
 from incremental_mapper.datasets.sensor_settings import listed_lidars, offset_nanoseconds
 from incremental_mapper.datasets.source import SourceInfo
 from incremental_mapper.datasets.topics import TopicChoice, choose_topics, find_truth_topic
@@ -47,6 +49,7 @@ class BagSource:
         self._files = bag_files(path)
         self._folder = path if path.is_dir() else path.parent
         self._drops: Drops = Counter()
+        self._remarks = Remarks()
         own = _own_settings(self._folder, listed_lidars(tree))
         config = make_config(merge(own, tree))
         with self._open() as reader:
@@ -73,8 +76,8 @@ class BagSource:
 
     @property
     def info(self) -> SourceInfo:
-        """Facts about the bag."""
-        return self._info
+        """Facts about the bag, with what the last run of ``measurements`` remarked."""
+        return replace(self._info, notes=(*self._info.notes, *self._remarks.notes()))
 
     @property
     def drops(self) -> Drops:
@@ -88,6 +91,7 @@ class BagSource:
         where not one can be read.
         """
         self._drops = Counter()
+        self._remarks = Remarks()
         converters = self._converters()
         left = Counter(self._info.counts)
         with self._open() as reader:
@@ -104,6 +108,7 @@ class BagSource:
                 except MeasurementError as error:
                     self._drops[sensor, error.reason] += 1
                     continue
+                self._remarks.take(measurement)
                 yield measurement
 
     def truth(self) -> Trajectory | None:

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from incremental_mapper.datasets.kaist_files import (
     read_recording,
     read_scan_folder,
 )
+from incremental_mapper.datasets.remarks import Remarks
 from incremental_mapper.datasets.sensor_settings import listed_lidars, offset_nanoseconds
 from incremental_mapper.datasets.source import SourceInfo
 from incremental_mapper.datasets.truth import find_truth
@@ -49,6 +51,7 @@ class KaistSource:
         own = extrinsic_settings(self._recording, used)
         self._sensors = _sensors(make_config(merge(own, tree)), used)
         self._late_drops: Drops = Counter()
+        self._remarks = Remarks()
         first, last = self._recording.span()
         self._info = SourceInfo(
             path=path,
@@ -61,8 +64,8 @@ class KaistSource:
 
     @property
     def info(self) -> SourceInfo:
-        """Facts about the folder."""
-        return self._info
+        """Facts about the folder, with what the last run of ``measurements`` remarked."""
+        return replace(self._info, notes=(*self._info.notes, *self._remarks.notes()))
 
     @property
     def drops(self) -> Drops:
@@ -72,15 +75,19 @@ class KaistSource:
     def measurements(self) -> Iterator[Measurement]:
         """All usable measurements by stamp; clouds are read when their turn comes."""
         self._late_drops = Counter()
+        self._remarks = Remarks()
         for stamp, sensor, index in self._recording.order():
             if sensor not in self._sensors:
                 continue
             shifted = stamp + offset_nanoseconds(self._sensors[sensor])
             try:
                 record = self._recording.streams[sensor].load(index)
-                yield _measurement(shifted, sensor, record)
+                measurement = _measurement(shifted, sensor, record)
             except MeasurementError as error:
                 self._late_drops[sensor, error.reason] += 1
+                continue
+            self._remarks.take(measurement)
+            yield measurement
 
     def truth(self) -> Trajectory | None:
         """The trajectory of ``global_pose.csv``, in the folder or in its ``sensor_data``."""

@@ -4,11 +4,13 @@ Every function raises MeasurementError, with a reason to count, where a message 
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, TypeVar
 
 import numpy as np
 
-from incremental_mapper.datasets.point_clouds import cloud_points, cloud_table, point_times
+from incremental_mapper.datasets.point_clouds import cloud_points, cloud_table
+from incremental_mapper.datasets.point_times import point_times
 from incremental_mapper.errors import MeasurementError
 from incremental_mapper.measurements import (
     NANOSECONDS,
@@ -61,9 +63,11 @@ def scan_from_message(
     def make() -> LidarScan:
         stamp = header_stamp(message)
         table = cloud_table(message)
-        points = cloud_points(table)
-        times = point_times(table, stamp, points).seconds
-        return make_scan(stamp + offset_ns, sensor, points, times, min_points)
+        points = cloud_points(table.points)
+        times = point_times(table.points, stamp, points)
+        scan = make_scan(stamp + offset_ns, sensor, points, times.seconds, min_points)
+        remarks = (*table.remarks, *times.remarks)
+        return replace(scan, remarks=remarks) if remarks else scan
 
     return _checked(sensor, make)
 
@@ -76,7 +80,7 @@ def describe_times(message: Any) -> str:
     """
 
     def describe() -> str:
-        table = cloud_table(message)
+        table = cloud_table(message).points
         return point_times(table, header_stamp(message), cloud_points(table)).note
 
     return _checked('cloud', describe)

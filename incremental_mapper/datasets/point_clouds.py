@@ -1,68 +1,140 @@
-"""Reading ``sensor_msgs/PointCloud2``: points and the time of each point.
+"""Reading ``sensor_msgs/PointCloud2``: the points, even where the layout is declared wrongly.
 
 Works on any object with the message's attributes, whether rclpy or a bag reader made it.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from incremental_mapper.datasets.point_times import TIME_FIELDS
 from incremental_mapper.errors import MeasurementError
-from incremental_mapper.measurements import NANOSECONDS, Points
-
-TIME_FIELDS = ('time', 't', 'timestamp', 'time_stamp', 'offset_time')
+from incremental_mapper.measurements import Points, Remark
 
 # sensor_msgs/PointField: datatype number to NumPy code.
 _DATATYPES = {1: 'i1', 2: 'u1', 3: 'i2', 4: 'u2', 5: 'i4', 6: 'u4', 7: 'f4', 8: 'f8'}
-_UNITS = {'s': 1.0, 'ms': 1e-3, 'us': 1e-6, 'ns': 1e-9}
-# A sweep takes 0.05 s to 0.2 s. The bounds are wider, and their ratio of 1000 leaves one unit.
-_MIN_SWEEP = 5e-4
-_MAX_SWEEP = 0.5
-# Times that are nearer to zero than this many seconds count from the header stamp.
-_MAX_RELATIVE = 1.0
+# Read in the wrong byte order, a float has a random exponent: 16 % of them fall between these.
+_LEAST, _MOST = 1e-6, 1e6
+_IMPLAUSIBLE, _PLAUSIBLE = 0.5, 0.9
+_JUDGED = 200
+"""Points of a cloud that are looked at to judge its layout."""
+
+_FLOAT32, _FLOAT64 = 7, 8
+
+
+@dataclass(frozen=True, slots=True)
+class _Field:
+    """A field that is read: name, datatype as in ``sensor_msgs/PointField``, offset in bytes."""
+
+    name: str
+    datatype: int
+    offset: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PointTimes:
-    """Time of every point in seconds after the header stamp, or None; ``note`` says why."""
-
-    seconds: NDArray[np.float64] | None
-    note: str
-
-
-def cloud_table(message: Any) -> NDArray[np.void]:
+class CloudTable:
     """The points of a cloud as a structured array (N,) with the message's field names.
 
-    Honours field offsets, byte order, padding of points and rows, and clouds of several rows.
-    Raises MeasurementError where layout and data do not fit.
+    ``remarks`` are what the message says wrongly of its layout.
     """
+
+    points: NDArray[np.void]
+    remarks: tuple[Remark, ...]
+
+
+def cloud_table(message: Any) -> CloudTable:
+    """Lay out the data of a cloud.
+
+    Honours field offsets, byte order, padding of points and rows, and clouds of several rows. The
+    data come before what the message says of them: where their length is that of the points alone
+    no ``row_step`` is needed, and where the points are implausible as they are declared another
+    byte order or float type is tried.
+
+    Args:
+        message: a ``sensor_msgs/PointCloud2``.
+
+    Returns:
+        The table of its points.
+
+    Raises:
+        MeasurementError: layout and data do not fit.
+    """
+    declared = _declared_fields(message)
     width, height = int(message.width), int(message.height)
-    point_step, row_step = int(message.point_step), int(message.row_step)
-    layout = _layout(message, point_step)
+    point_step = int(message.point_step)
+    layout = _layout(declared, point_step, bool(message.is_bigendian))
     if width == 0 or height == 0:
-        return np.empty(0, dtype=layout)
-    # Some drivers leave row_step at zero in a cloud of one row, where it does not matter.
-    if height == 1:
-        row_step = width * point_step
-    if row_step < width * point_step:
-        raise MeasurementError(
-            'bad_layout', f'row_step is {row_step}, below width {width} · point_step {point_step}'
-        )
+        return CloudTable(np.empty(0, dtype=layout), ())
     try:
         data = np.frombuffer(message.data, dtype=np.uint8)
     except (TypeError, ValueError, BufferError) as error:
         raise MeasurementError('wrong_type', f'data is no buffer of bytes ({error})') from error
+    row_step, remarks = _row_step(message, len(data))
     needed = (height - 1) * row_step + width * point_step
     if len(data) < needed:
         raise MeasurementError(
             'truncated', f'data has {len(data)} bytes, {needed} are needed for {width}x{height}'
         )
-    table: NDArray[np.void] = np.ndarray(
-        (height, width), dtype=layout, buffer=data, strides=(row_step, point_step)
+
+    def table(dtype: np.dtype[np.void]) -> NDArray[np.void]:
+        rows: NDArray[np.void] = np.ndarray(
+            (height, width), dtype=dtype, buffer=data, strides=(row_step, point_step)
+        )
+        return rows.reshape(-1)
+
+    points = table(layout)
+    if _overlap(declared) or _plausible_share(points) < _IMPLAUSIBLE:
+        for other, what in _other_layouts(declared, point_step, bool(message.is_bigendian)):
+            reread = table(other)
+            if _plausible_share(reread) > _PLAUSIBLE:
+                return CloudTable(reread, (*remarks, Remark('wrong_layout', what)))
+    return CloudTable(points, remarks)
+
+
+def _row_step(message: Any, size: int) -> tuple[int, tuple[Remark, ...]]:
+    """Bytes from row to row for ``size`` bytes of data, and what is wrong with the message's."""
+    width, height = int(message.width), int(message.height)
+    packed = width * int(message.point_step)
+    row_step = int(message.row_step)
+    # Some drivers leave row_step at zero in a cloud of one row, where it does not matter.
+    if height == 1 or row_step == packed:
+        return packed, ()
+    if size == packed * height:
+        text = (
+            f'row_step is {row_step} where rows have {packed} bytes, and the data are just that '
+            'long: row_step is ignored (set it to width times point_step in the driver)'
+        )
+        return packed, (Remark('wrong_row_step', text),)
+    if row_step < packed:
+        raise MeasurementError(
+            'bad_layout',
+            f'row_step is {row_step}, below width {width} · point_step {message.point_step}, and '
+            f'{size} bytes of data are not {height} rows of {packed} either',
+        )
+    return row_step, ()
+
+
+def _overlap(fields: list[_Field]) -> bool:
+    """Whether two of x, y, z share bytes, as floats do that are declared to be doubles."""
+    places = sorted(
+        (f.offset, np.dtype(_DATATYPES[f.datatype]).itemsize) for f in fields if f.name in 'xyz'
     )
-    return table.reshape(-1)
+    return any(a + size > b for (a, size), (b, _) in pairwise(places))
+
+
+def _plausible_share(table: NDArray[np.void]) -> float:
+    """Share of a cloud's coordinates that can be metres; NaN and zero say nothing."""
+    sample = table[:: max(len(table) // _JUDGED, 1)]
+    if any(sample.dtype[name].kind != 'f' for name in 'xyz'):
+        return 1.0
+    with np.errstate(invalid='ignore'):  # signalling NaNs
+        size = np.abs(np.concatenate([sample[name].astype(np.float64) for name in 'xyz']))
+    size = size[~np.isnan(size) & (size != 0.0)]
+    return float(((size >= _LEAST) & (size <= _MOST)).mean()) if len(size) else 1.0
 
 
 def cloud_points(table: NDArray[np.void]) -> Points:
@@ -75,65 +147,69 @@ def cloud_points(table: NDArray[np.void]) -> Points:
     return points
 
 
-def point_times(table: NDArray[np.void], stamp: int, points: Points) -> PointTimes:
-    """Find each point's time; unit and origin follow from the values of the usable points.
-
-    ``stamp`` is the header stamp in nanoseconds, ``points`` what ``cloud_points`` returned. Times
-    that count from neither the header nor the epoch (a sensor's own clock) are taken from the
-    first point of the sweep.
-    """
-    name = next((name for name in TIME_FIELDS if name in (table.dtype.names or ())), None)
-    if name is None:
-        return PointTimes(None, 'no time of the points')
-    values = table[name].astype(np.float64)
-    # Points without a return often carry a time of zero; they say nothing about the sweep.
-    usable = np.isfinite(points).all(axis=1) & points.any(axis=1) & np.isfinite(values)
-    if not usable.any():
-        return PointTimes(None, f'field {name!r} holds no usable time')
-    low, high = float(values[usable].min()), float(values[usable].max())
-    if low == high:
-        return PointTimes(None, f'field {name!r} is constant, points are not de-skewed')
-    unit = next((u for u, s in _UNITS.items() if _MIN_SWEEP < (high - low) * s <= _MAX_SWEEP), None)
-    if unit is None:
-        return PointTimes(None, f'field {name!r} spans {high - low:g}, which is no sweep')
-    scale = _UNITS[unit]
-    if max(abs(low), abs(high)) * scale <= _MAX_RELATIVE:
-        return PointTimes(values * scale, f'field {name!r} in {unit} from the header stamp')
-    # Doubles resolve today's epoch to 0.3 us, in every unit.
-    header = stamp / NANOSECONDS / scale
-    if max(abs(low - header), abs(high - header)) * scale <= _MAX_RELATIVE:
-        return PointTimes((values - header) * scale, f'field {name!r} in {unit} of the epoch')
-    return PointTimes(
-        (values - low) * scale,
-        f'field {name!r} in {unit} on a clock of its own, taken from the first point',
-    )
-
-
-def _layout(message: Any, point_step: int) -> np.dtype[np.void]:
-    """Structured dtype of x, y, z and the times; other fields are skipped."""
-    order = '>' if message.is_bigendian else '<'
-    names: list[str] = []
-    formats: list[str] = []
-    offsets: list[int] = []
+def _declared_fields(message: Any) -> list[_Field]:
+    """x, y, z and the times as the message declares them; other fields are skipped."""
+    fields: dict[str, _Field] = {}
     for field in message.fields:
-        if field.name not in ('x', 'y', 'z', *TIME_FIELDS) or field.name in names:
+        if field.name not in ('x', 'y', 'z', *TIME_FIELDS) or field.name in fields:
             continue
-        code = _DATATYPES.get(int(field.datatype))
-        if code is None:
+        datatype = int(field.datatype)
+        if datatype not in _DATATYPES:
             raise MeasurementError(
                 'wrong_type', f'field {field.name!r} has datatype {field.datatype}, expected 1 to 8'
             )
-        names.append(field.name)
-        formats.append(order + code)
-        offsets.append(int(field.offset))
-    missing = [name for name in 'xyz' if name not in names]
+        fields[field.name] = _Field(field.name, datatype, int(field.offset))
+    missing = [name for name in 'xyz' if name not in fields]
     if missing:
         raise MeasurementError('missing_field', f'the cloud has no field {missing[0]!r}')
-    for name, code, offset in zip(names, formats, offsets, strict=True):
-        if offset + np.dtype(code).itemsize > point_step:
+    return list(fields.values())
+
+
+def _layout(fields: list[_Field], point_step: int, bigendian: bool) -> np.dtype[np.void]:
+    """Structured dtype of the fields."""
+    order = '>' if bigendian else '<'
+    formats = [order + _DATATYPES[field.datatype] for field in fields]
+    for field, code in zip(fields, formats, strict=True):
+        if field.offset + np.dtype(code).itemsize > point_step:
             raise MeasurementError(
-                'bad_layout', f'field {name!r} at {offset} exceeds point_step {point_step}'
+                'bad_layout',
+                f'field {field.name!r} at {field.offset} exceeds point_step {point_step}',
             )
     return np.dtype(
-        {'names': names, 'formats': formats, 'offsets': offsets, 'itemsize': point_step}
+        {
+            'names': [field.name for field in fields],
+            'formats': formats,
+            'offsets': [field.offset for field in fields],
+            'itemsize': point_step,
+        }
     )
+
+
+def _other_layouts(
+    fields: list[_Field], point_step: int, bigendian: bool
+) -> Iterator[tuple[np.dtype[np.void], str]]:
+    """What the data may be instead, and how to say so."""
+    is_big = 'true' if bigendian else 'false'
+    yield (
+        _layout(fields, point_step, not bigendian),
+        f'the points make sense in the other byte order only, is_bigendian {is_big} is ignored '
+        '(correct it in the driver)',
+    )
+    for wrong, right in ((_FLOAT32, _FLOAT64), (_FLOAT64, _FLOAT32)):
+        if not any(field.name in 'xyz' and field.datatype == wrong for field in fields):
+            continue
+        changed = [
+            _Field(field.name, right, field.offset)
+            if field.name in 'xyz' and field.datatype == wrong
+            else field
+            for field in fields
+        ]
+        try:
+            other = _layout(changed, point_step, bigendian)
+        except MeasurementError:
+            continue
+        yield (
+            other,
+            f'x, y, z make sense as {_DATATYPES[right]} only, datatype {wrong} is ignored '
+            '(correct it in the driver)',
+        )

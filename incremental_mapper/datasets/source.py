@@ -44,7 +44,7 @@ class Source(Protocol):
 
     @property
     def info(self) -> SourceInfo:
-        """Facts about the input."""
+        """Facts about the input; after a run its notes tell what was used but not as it was."""
 
     @property
     def drops(self) -> Drops:

@@ -1,9 +1,10 @@
 """From a window's raw measurements to what factors are made of."""
 
+import math
 import time
 from collections import Counter
 from concurrent.futures import Future
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -53,6 +54,7 @@ class FrontEnd:
         self._config = config
         self._stations: dict[str, ScanStation] = {}
         self.datum: Datum | None = None
+        self._altitude = math.nan  # of the newest fix that has one
         self.drops: Drops = Counter()
         self.notes: Counter[str] = Counter()  # what was used, but not in full
         if config.odometry.processes:
@@ -114,7 +116,15 @@ class FrontEnd:
 
     def _fix(self, fix: GnssFix) -> PreparedFix:
         covariance = checked_covariance(fix, self._config.fixes)
+        if math.isnan(fix.altitude):
+            # The newest altitude is the best guess; its deviation says that it is no more.
+            fix = replace(fix, altitude=self._altitude)
+        elif math.isnan(self._altitude) and self.datum is not None:
+            # Fixes without altitude came before: they were at height 0, and so is this one.
+            self.datum = replace(self.datum, altitude=fix.altitude)
+        self._altitude = fix.altitude
         if self.datum is None:
-            self.datum = Datum(fix.latitude, fix.longitude, fix.altitude)
+            altitude = 0.0 if math.isnan(fix.altitude) else fix.altitude
+            self.datum = Datum(fix.latitude, fix.longitude, altitude)
         core = CoreMeasurement(fix.stamp, fix.sensor, CoreKind.GNSS)
         return PreparedFix(core, self.datum.enu(fix), covariance)

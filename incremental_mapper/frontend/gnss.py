@@ -1,5 +1,6 @@
 """GNSS fixes in a local frame: WGS-84 to ENU, and the yaw between the map and ENU."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,7 +9,7 @@ from numpy.typing import NDArray
 
 from incremental_mapper.config import GnssSettings
 from incremental_mapper.errors import MeasurementError
-from incremental_mapper.measurements import GnssFix
+from incremental_mapper.measurements import NO_VERTICAL_SIGMA, GnssFix
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,12 +27,13 @@ class Datum:
             fix: A fix of the antenna.
 
         Returns:
-            Antenna position (3,) east, north, up of the datum, metres.
+            Antenna position (3,) east, north, up of the datum, metres; a fix without altitude
+            lies as high as the datum.
         """
         east, north, up = pymap3d.geodetic2enu(
             fix.latitude,
             fix.longitude,
-            fix.altitude,
+            self.altitude if math.isnan(fix.altitude) else fix.altitude,
             self.latitude,
             self.longitude,
             self.altitude,
@@ -41,6 +43,8 @@ class Datum:
 
 def checked_covariance(fix: GnssFix, settings: GnssSettings) -> NDArray[np.float64]:
     """Covariance of a fix, with the settings' floor in every direction, or their default.
+
+    The vertical of a fix without altitude has the standard deviation ``NO_VERTICAL_SIGMA``.
 
     Args:
         fix: A fix of the antenna.
@@ -58,7 +62,8 @@ def checked_covariance(fix: GnssFix, settings: GnssSettings) -> NDArray[np.float
             'low_status', f'{where}: status {fix.status.name} is below fixes.min_status'
         )
     if fix.covariance is None:
-        return np.eye(3) * settings.default_sigma**2
+        vertical = NO_VERTICAL_SIGMA if math.isnan(fix.altitude) else settings.default_sigma
+        return np.diag([settings.default_sigma, settings.default_sigma, vertical]) ** 2
     horizontal = float(np.sqrt(max(fix.covariance[0, 0], fix.covariance[1, 1])))
     if horizontal > settings.max_sigma:
         raise MeasurementError(

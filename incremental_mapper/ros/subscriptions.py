@@ -70,6 +70,7 @@ class Inputs:
         self._logger = node.get_logger()
         self._hand_on = hand_on
         self._drops: Drops = Counter()
+        self._remarked: set[tuple[str, str]] = set()
         self._newest: dict[str, int] = {}
         self._numbers: dict[str, int] = {}
         self._counted: Counter[str] = Counter()
@@ -168,6 +169,10 @@ class Inputs:
                 self._logger.warning(f'{name}: {error} (said once; /diagnostics counts)')
             self._drops[name, error.reason] += 1
             return
+        for remark in getattr(measurement, 'remarks', ()):
+            if (name, remark.reason) not in self._remarked:
+                self._remarked.add((name, remark.reason))
+                self._logger.warning(f'{name}: {remark.text} ({remark.reason}, said once)')
         if name not in self._newest:
             said = f': {describe_times(message)}' if isinstance(message, PointCloud2) else ''
             self._logger.info(f'{name}: first message on {self.topics[name]}{said}')

@@ -1,0 +1,95 @@
+"""When each point of a cloud was measured: unit and origin of its time field."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from incremental_mapper.measurements import NANOSECONDS, Points, Remark
+
+TIME_FIELDS = ('time', 't', 'timestamp', 'time_stamp', 'offset_time')
+
+_UNITS = {'s': 1.0, 'ms': 1e-3, 'us': 1e-6, 'ns': 1e-9}
+# A sweep takes 0.05 s to 0.2 s. The bounds are wider, and their ratio of 1000 leaves one unit.
+_MIN_SWEEP = 5e-4
+_MAX_SWEEP = 0.5
+# Times that are nearer to zero than this many seconds count from the header stamp.
+_MAX_RELATIVE = 1.0
+# The share of times at either end that may be absurd, and how far the others reach beyond the
+# rest, in spans of it: a sweep of constant speed reaches 0.06.
+_ABSURD_SHARE = 0.05
+_REACH = 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PointTimes:
+    """Time of every point in seconds after the header stamp, or None; ``note`` says why.
+
+    The times of single points that are absurd are NaN. ``remarks`` are what is wrong with them.
+    """
+
+    seconds: NDArray[np.float64] | None
+    note: str
+    remarks: tuple[Remark, ...] = ()
+
+
+def point_times(table: NDArray[np.void], stamp: int, points: Points) -> PointTimes:
+    """Find each point's time; unit and origin follow from the values of the usable points.
+
+    ``stamp`` is the header stamp in nanoseconds, ``points`` what ``cloud_points`` returned. Times
+    that count from neither the header nor the epoch (a sensor's own clock) are taken from the
+    first point of the sweep.
+    """
+    name = next((name for name in TIME_FIELDS if name in (table.dtype.names or ())), None)
+    if name is None:
+        return PointTimes(None, 'no time of the points')
+    values = table[name].astype(np.float64)
+    # Points without a return often carry a time of zero; they say nothing about the sweep.
+    usable = np.isfinite(points).all(axis=1) & points.any(axis=1) & np.isfinite(values)
+    if not usable.any():
+        return _unusable(f'field {name!r} holds no usable time')
+    values, remarks = _without_absurd(name, values, usable)
+    usable &= np.isfinite(values)
+    low, high = float(values[usable].min()), float(values[usable].max())
+    if low == high:
+        return _unusable(f'field {name!r} is constant, points are not de-skewed')
+    unit = next((u for u, s in _UNITS.items() if _MIN_SWEEP < (high - low) * s <= _MAX_SWEEP), None)
+    if unit is None:
+        return _unusable(f'field {name!r} spans {high - low:g}, which is no sweep')
+    scale = _UNITS[unit]
+    if max(abs(low), abs(high)) * scale <= _MAX_RELATIVE:
+        note = f'field {name!r} in {unit} from the header stamp'
+        return PointTimes(values * scale, note, remarks)
+    # Doubles resolve today's epoch to 0.3 us, in every unit.
+    header = stamp / NANOSECONDS / scale
+    if max(abs(low - header), abs(high - header)) * scale <= _MAX_RELATIVE:
+        note = f'field {name!r} in {unit} of the epoch'
+        return PointTimes((values - header) * scale, note, remarks)
+    return PointTimes(
+        (values - low) * scale,
+        f'field {name!r} in {unit} on a clock of its own, taken from the first point',
+        remarks,
+    )
+
+
+def _unusable(note: str) -> PointTimes:
+    return PointTimes(None, note, (Remark('not_deskewed', note),))
+
+
+def _without_absurd(
+    name: str, values: NDArray[np.float64], usable: NDArray[np.bool_]
+) -> tuple[NDArray[np.float64], tuple[Remark, ...]]:
+    """Point times with NaN for the few that lie far off the others, which make up the sweep."""
+    early, late = np.quantile(values[usable], [_ABSURD_SHARE, 1.0 - _ABSURD_SHARE])
+    reach = _REACH * (late - early)
+    absurd = usable & ((values < early - reach) | (values > late + reach))
+    # Without a span there is nothing to measure by; the time is constant, or next to it.
+    if reach == 0.0 or not absurd.any():
+        return values, ()
+    text = (
+        f'field {name!r}: {int(absurd.sum())} of {int(usable.sum())} points have times far from '
+        'all others, such as '
+        f'{values[absurd][0]:g} where those are from {early:g} to {late:g}; these points are left '
+        'out'
+    )
+    return np.where(absurd, np.nan, values), (Remark('absurd_times', text),)

@@ -1,0 +1,98 @@
+"""Clouds whose message lies about its layout or its times: the data come first."""
+
+import numpy as np
+import pytest
+from test_message_conversion import POINTS, cloud, reason, xyz
+
+from incremental_mapper.datasets.message_conversion import scan_from_message
+
+MANY = np.random.default_rng(3).uniform(-60.0, 60.0, (400, 3))
+
+
+def words(scan) -> list[str]:
+    return [remark.reason for remark in scan.remarks]
+
+
+def test_nothing_is_remarked_of_a_sound_cloud():
+    times = ('f4', np.linspace(0.0, 0.1, 400))
+    for rows, padding in ((1, 0), (4, 8)):
+        message = cloud(xyz(points=MANY) | {'t': times}, rows=rows, row_padding=padding)
+        assert scan_from_message(message, 'left').remarks == ()
+
+
+@pytest.mark.parametrize('row_step', [0, 100, 12 * 400, 2**31 - 1])
+def test_row_step_is_ignored_where_the_length_tells_the_layout(row_step):
+    scan = scan_from_message(cloud(xyz(points=MANY), rows=4, row_step=row_step), 'left')
+    np.testing.assert_allclose(scan.points, MANY, rtol=1e-6)
+    assert words(scan) == ['wrong_row_step']
+    assert f'row_step is {row_step} where rows have 1200 bytes' in scan.remarks[0].text
+
+
+def test_row_step_counts_where_rows_are_padded():
+    message = cloud(xyz(points=MANY), rows=4, row_padding=6, row_step=100)
+    assert reason(scan_from_message, message, 'left') == 'bad_layout'
+
+
+@pytest.mark.parametrize('code', ['f4', 'f8'])
+@pytest.mark.parametrize('order', ['<', '>'])
+def test_wrong_byte_order_shows_in_the_points(code, order):
+    message = cloud(xyz(code, MANY), order, is_bigendian=order == '<')
+    scan = scan_from_message(message, 'left')
+    np.testing.assert_allclose(scan.points, MANY, rtol=1e-6)
+    assert words(scan) == ['wrong_layout']
+    assert 'byte order' in scan.remarks[0].text
+
+
+def test_missing_returns_do_not_hide_a_wrong_byte_order():
+    points = MANY.copy()
+    points[::2] = np.nan
+    scan = scan_from_message(cloud(xyz(points=points), is_bigendian=True), 'left')
+    np.testing.assert_allclose(scan.points, points[1::2], rtol=1e-6)
+
+
+@pytest.mark.parametrize(('code', 'declared'), [('f4', 8), ('f8', 7)])
+def test_wrong_float_type_shows_in_the_points(code, declared):
+    message = cloud(xyz(code, MANY), padding=8)
+    for field in message.fields:
+        field.datatype = declared
+    scan = scan_from_message(message, 'left')
+    np.testing.assert_allclose(scan.points, MANY, rtol=1e-6)
+    assert words(scan) == ['wrong_layout']
+
+
+def test_points_that_make_no_sense_either_way_are_left_as_they_are():
+    noise = np.frombuffer(np.random.default_rng(0).bytes(4 * 1200), '<f4').reshape(-1, 3)
+    scan = scan_from_message(cloud(xyz(points=noise)), 'left')
+    assert scan.remarks == ()
+
+
+@pytest.mark.parametrize(
+    ('code', 'scale'), [('f4', 1.0), ('f8', 1e3), ('u4', 1e9)], ids=['s', 'ms', 'ns']
+)
+@pytest.mark.parametrize('absurd', [4.2, 60.0, 1e3])
+def test_a_few_absurd_times_cost_their_points_only(code, scale, absurd):
+    times = np.linspace(0.0, 0.1, 400) * scale
+    times[[3, 200, 390]] = min(absurd * scale, 4e9)
+    scan = scan_from_message(cloud(xyz(points=MANY) | {'t': (code, times)}), 'left')
+    kept = np.delete(np.arange(400), [3, 200, 390])
+    np.testing.assert_allclose(scan.points, MANY[kept], rtol=1e-6)
+    np.testing.assert_allclose(scan.point_times, times[kept] / scale, atol=1e-6)
+    assert words(scan) == ['absurd_times']
+    assert '3 of 400 points' in scan.remarks[0].text
+
+
+def test_absurd_times_before_the_sweep():
+    times = np.linspace(0.0, 0.1, 400)
+    times[7] = -1e9
+    scan = scan_from_message(cloud(xyz(points=MANY) | {'time': ('f4', times)}), 'left')
+    assert len(scan.points) == 399 and scan.point_times is not None
+
+
+@pytest.mark.parametrize('times', [np.zeros(400), np.linspace(0.0, 1e15, 400)])
+def test_clouds_that_stay_skewed_are_remarked(times):
+    scan = scan_from_message(cloud(xyz(points=MANY) | {'time': ('f8', times)}), 'left')
+    assert scan.point_times is None and words(scan) == ['not_deskewed']
+
+
+def test_a_cloud_without_times_is_no_fault():
+    assert scan_from_message(cloud(xyz(points=POINTS)), 'left').remarks == ()
