@@ -11,6 +11,7 @@ from typing import Any
 
 from tqdm import tqdm
 
+from incremental_mapper.cli import exit_status
 from incremental_mapper.cli.keyboard import Keyboard
 from incremental_mapper.errors import InputError
 
@@ -102,7 +103,8 @@ def run(args: argparse.Namespace) -> int:
             print(f'{args.bag}: {player.report}', flush=True)
         if not player.wait_for_acknowledgement():
             print('note: a subscriber did not acknowledge the last messages', file=sys.stderr)
-    return 0
+        left_out = player.report.missing + player.report.unreadable
+    return exit_status.FAILURE if left_out else 0
 
 
 class _Terminal:

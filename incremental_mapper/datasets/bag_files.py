@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
+from incremental_mapper.datasets.bag_recovery import BagReader
 from incremental_mapper.errors import InputError
 
 STORAGE_SUFFIXES = ('.mcap', '.db3')
@@ -24,21 +24,21 @@ class Topic:
     count: int
 
 
-def open_bag(path: Path) -> AnyReader:
+def open_bag(path: Path) -> BagReader:
     """Open a bag.
 
     Args:
         path: a rosbag2 folder, a .mcap, .db3 or ROS 1 .bag file, or a folder of .bag files.
 
     Returns:
-        An open reader, which whoever called has to close.
+        An open reader, which whoever called has to close; its notes say what was mended.
 
     Raises:
         InputError: the path is no bag, or the bag cannot be read.
     """
     files = bag_files(path)
     try:
-        reader = AnyReader(files, default_typestore=get_typestore(Stores.ROS2_JAZZY))
+        reader = BagReader(files, default_typestore=get_typestore(Stores.ROS2_JAZZY))
         reader.open()
     # Of a damaged file the library raises whatever its parser stumbles over.
     except Exception as error:
@@ -65,7 +65,9 @@ def bag_files(path: Path) -> list[Path]:
     if path.is_file():
         if path.suffix in (*STORAGE_SUFFIXES, '.bag'):
             return [path]
-        raise InputError(f'{path}: is no bag; expected a .mcap, .db3 or .bag file')
+        raise InputError(
+            unfinished(path) or f'{path}: is no bag; expected a .mcap, .db3 or .bag file'
+        )
     if not path.is_dir():
         raise InputError(f'{path}: does not exist')
     if (path / 'metadata.yaml').is_file():
@@ -80,8 +82,30 @@ def bag_files(path: Path) -> list[Path]:
         )
     ros1 = sorted(path.glob('*.bag'))
     if not ros1:
+        for file in sorted(path.iterdir()):
+            if remedy := unfinished(file):
+                raise InputError(remedy)
         raise InputError(f'{path}: is no bag; expected metadata.yaml, a .mcap, .db3 or .bag file')
     return list(ros1)
+
+
+def unfinished(path: Path) -> str | None:
+    """What to do with a file that becomes a bag by one command; None for all other files.
+
+    Args:
+        path: a file.
+    """
+    if path.name.endswith('.bag.active'):
+        return (
+            f'{path}: its recorder did not close it; "rosbag reindex {path}", then rename it to '
+            f'{path.stem}'
+        )
+    if path.suffix == '.zstd' and Path(path.stem).suffix in STORAGE_SUFFIXES:
+        return (
+            f'{path}: is compressed and has no metadata.yaml beside it that says so; '
+            f'"zstd -d {path} -o {path.with_suffix("")}", then give that file'
+        )
+    return None
 
 
 def describe_topics(topics: Sequence[Topic]) -> str:

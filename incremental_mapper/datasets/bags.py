@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
-from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
 
 from incremental_mapper.config import Tree
 from incremental_mapper.datasets.bag_files import Topic, bag_files, open_bag
+from incremental_mapper.datasets.bag_recovery import BagReader
 from incremental_mapper.datasets.message_conversion import (
     describe_times,
     fix_from_message,
@@ -59,7 +59,7 @@ class BagSource:
             ]
             self._choice = choose_topics(path, self._topics, config)
             self._begin, self._end = reader.start_time, reader.end_time
-            notes = [*self._choice.notes, *self._time_notes(reader)]
+            notes = [*reader.notes, *self._choice.notes, *self._time_notes(reader)]
         known = {**config.lidars, 'imu': config.imu, 'gnss': config.gnss}
         self._offsets = {
             name: offset_nanoseconds(known[name]) if name in known else 0
@@ -124,14 +124,14 @@ class BagSource:
         return truth
 
     @contextmanager
-    def _open(self) -> Iterator[AnyReader]:
+    def _open(self) -> Iterator[BagReader]:
         reader = open_bag(self._path)
         try:
             yield reader
         finally:
             reader.close()
 
-    def _raw(self, reader: AnyReader, left: Counter[str]) -> Iterator[tuple[str, str, bytes]]:
+    def _raw(self, reader: BagReader, left: Counter[str]) -> Iterator[tuple[str, str, bytes]]:
         """(sensor, type, data) of the sensors' messages; counts those that the bag lost.
 
         ``left`` is how many messages of each sensor are still to come.
@@ -162,7 +162,7 @@ class BagSource:
 
         return {sensor: bind(sensor) for sensor in self._choice.topics}
 
-    def _time_notes(self, reader: AnyReader) -> Iterator[str]:
+    def _time_notes(self, reader: BagReader) -> Iterator[str]:
         """What the first cloud of each LiDAR says about its points' times."""
         for lidar in self._choice.lidars:
             topic = self._choice.topics[lidar].name

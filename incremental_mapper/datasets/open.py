@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from incremental_mapper.datasets.bag_files import STORAGE_SUFFIXES
+from incremental_mapper.datasets.bag_files import STORAGE_SUFFIXES, unfinished
 from incremental_mapper.datasets.bags import BagSource
 from incremental_mapper.datasets.kaist import KaistSource
 from incremental_mapper.datasets.kaist_files import is_kaist_folder
@@ -42,7 +42,7 @@ def open_source(path: Path, tree: Mapping[str, Any] | None = None) -> Source:
     if path.is_file():
         if path.suffix in bags:
             return BagSource(path, tree)
-        raise InputError(f'{path}: is no bag; expected {_EXPECTED}')
+        raise InputError(unfinished(path) or f'{path}: is no bag; expected {_EXPECTED}')
     try:
         names = [file.name for file in path.iterdir()]
     except OSError as error:
@@ -54,5 +54,8 @@ def open_source(path: Path, tree: Mapping[str, Any] | None = None) -> Source:
         return BagSource(path, tree)
     if '.bin' in suffixes:
         return KaistSource(path, tree)
+    for name in sorted(names):
+        if remedy := unfinished(path / name):
+            raise InputError(remedy)
     what = f'holds {", ".join(sorted(names)[:5])}' if names else 'is empty'
     raise InputError(f'{path}: {what}; expected {_EXPECTED}')

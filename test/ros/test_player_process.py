@@ -4,6 +4,7 @@ import os
 import pty
 import select
 import signal
+import sqlite3
 import subprocess
 import sys
 import termios
@@ -12,6 +13,7 @@ from importlib.util import find_spec
 
 import pytest
 from bag_files import IMU, write_bag, write_ros1
+from rosbags.rosbag2 import StoragePlugin
 
 from incremental_mapper.cli.main import main
 
@@ -119,6 +121,17 @@ def test_says_that_nobody_listens(start, bag, domain):
     _, err = process.communicate(timeout=60)
     assert process.returncode == 0
     assert err == 'note: nothing has subscribed yet\n'
+
+
+@needs_ros
+def test_lost_messages_are_a_failure(start, tmp_path):
+    path = write_bag(tmp_path / 'lossy', plugin=StoragePlugin.SQLITE3)
+    with sqlite3.connect(next(path.glob('*.db3'))) as database:
+        database.execute('DELETE FROM messages WHERE id % 10 = 0')
+    process = start(path, '--wait', 0.1)
+    out, _ = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert '5 more announced but missing' in out
 
 
 @needs_ros

@@ -152,7 +152,7 @@ class Player:
         self, recording: Recording, node: Node, options: PlayOptions, controls: Controls
     ) -> None:
         """Offer the topics; raises InputError where there is nothing to play."""
-        self.notes: list[str] = []
+        self.notes: list[str] = list(recording.notes)
         self.report = PlayReport()
         self._recording = recording
         self._options = options

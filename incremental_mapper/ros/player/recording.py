@@ -31,7 +31,10 @@ class RecordedTopic(Topic):
 
 
 class Recording:
-    """An open bag; a context manager. Stamps are the times at which messages were logged, ns."""
+    """An open bag; a context manager. Stamps are the times at which messages were logged, ns.
+
+    ``notes`` say what was wrong with its files.
+    """
 
     def __init__(self, path: Path) -> None:
         """Open the bag; raises InputError where it cannot be read."""
@@ -44,6 +47,7 @@ class Recording:
             self._reader.close()
             raise InputError(f'{path}: its types cannot be read ({_reason(error)})') from error
         self.topics = tuple(_topic(name, info) for name, info in self._reader.topics.items())
+        self.notes = tuple(self._reader.notes)
         self.start = self._reader.start_time
         self.end = self._reader.end_time
         """Just after the last message, ns."""
