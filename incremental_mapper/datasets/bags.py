@@ -13,8 +13,14 @@ from scipy.spatial.transform import Rotation
 from incremental_mapper.config import Tree
 from incremental_mapper.datasets.bag_files import Topic, bag_files, open_bag
 from incremental_mapper.datasets.bag_recovery import BagReader
+from incremental_mapper.datasets.extrinsics import find_extrinsics
+from incremental_mapper.datasets.first_look import (
+    TopicLook,
+    count_frames,
+    look_at_clouds,
+    look_at_frame,
+)
 from incremental_mapper.datasets.message_conversion import (
-    describe_times,
     fix_from_message,
     header_stamp,
     imu_from_message,
@@ -23,7 +29,13 @@ from incremental_mapper.datasets.message_conversion import (
 from incremental_mapper.datasets.remarks import Remarks
 from incremental_mapper.datasets.sensor_settings import listed_lidars, offset_nanoseconds
 from incremental_mapper.datasets.source import SourceInfo
-from incremental_mapper.datasets.topics import TopicChoice, choose_topics, find_truth_topic
+from incremental_mapper.datasets.topics import (
+    CLOUD,
+    FrameTopic,
+    TopicChoice,
+    choose_topics,
+    find_truth_topic,
+)
 from incremental_mapper.datasets.truth import find_truth
 from incremental_mapper.errors import InputError, MeasurementError
 from incremental_mapper.measurements import NANOSECONDS, Drops, Measurement
@@ -50,6 +62,7 @@ class BagSource:
         self._folder = path if path.is_dir() else path.parent
         self._drops: Drops = Counter()
         self._remarks = Remarks()
+        self._other_frames: Counter[tuple[str, str]] = Counter()
         own = _own_settings(self._folder, listed_lidars(tree))
         config = make_config(merge(own, tree))
         with self._open() as reader:
@@ -57,9 +70,38 @@ class BagSource:
                 Topic(name, info.msgtype or 'several types', info.msgcount)
                 for name, info in reader.topics.items()
             ]
-            self._choice = choose_topics(path, self._topics, config)
+            looks = {
+                topic.name: look_at_clouds(reader, topic)
+                for topic in self._topics
+                if topic.type == CLOUD and topic.count
+            }
+            counts = {
+                topic.name: look.frames if len(look.frames) < 2 else count_frames(reader, topic)
+                for topic in self._topics
+                if (look := looks.get(topic.name)) is not None
+            }
+            self._choice = choose_topics(path, self._topics, config, counts)
+            _refuse_parts(path, self._choice, looks)
+            self._frames = {
+                name: topic.frame
+                if isinstance(topic, FrameTopic)
+                else next(iter(counts.get(topic.name, {})), None) or look_at_frame(reader, topic)
+                for name, topic in self._choice.topics.items()
+            }
+            extrinsics, of_extrinsics = find_extrinsics(
+                reader, merge(own, tree), self._frames, self._choice.lidars
+            )
             self._begin, self._end = reader.start_time, reader.end_time
-            notes = [*reader.notes, *self._choice.notes, *self._time_notes(reader)]
+            notes = [
+                *reader.notes,
+                *self._choice.notes,
+                *of_extrinsics,
+                *_cloud_notes(self._choice, looks, self._frames),
+            ]
+        self._sensors: dict[str, dict[str | None, str]] = {}
+        for name, topic in self._choice.topics.items():
+            frame = topic.frame if isinstance(topic, FrameTopic) else None
+            self._sensors.setdefault(topic.name, {})[frame] = name
         known = {**config.lidars, 'imu': config.imu, 'gnss': config.gnss}
         self._offsets = {
             name: offset_nanoseconds(known[name]) if name in known else 0
@@ -70,14 +112,17 @@ class BagSource:
             kind='ROS 1 bag' if self._files[0].suffix == '.bag' else 'ROS 2 bag',
             counts={name: topic.count for name, topic in self._choice.topics.items()},
             duration=max(self._end - self._begin, 0) / NANOSECONDS,
-            settings=merge(own, _topic_settings(self._choice, list(config.lidars))),
+            settings=merge(
+                merge(own, _topic_settings(self._choice, list(config.lidars))), extrinsics
+            ),
             notes=tuple(notes),
         )
 
     @property
     def info(self) -> SourceInfo:
         """Facts about the bag, with what the last run of ``measurements`` remarked."""
-        return replace(self._info, notes=(*self._info.notes, *self._remarks.notes()))
+        found = (*self._frame_notes(), *self._remarks.notes())
+        return replace(self._info, notes=(*self._info.notes, *found))
 
     @property
     def drops(self) -> Drops:
@@ -92,17 +137,25 @@ class BagSource:
         """
         self._drops = Counter()
         self._remarks = Remarks()
+        self._other_frames = Counter()
         converters = self._converters()
         left = Counter(self._info.counts)
         with self._open() as reader:
-            for sensor, message_type, data in self._raw(reader, left):
-                left[sensor] -= 1
+            for topic, message_type, data in self._raw(reader, left):
                 try:
                     # On damaged data the decoder raises whatever it stumbles over.
                     message = reader.deserialize(data, message_type)
                 except Exception:
+                    sensor = next(iter(self._sensors[topic].values()))
+                    left[sensor] -= 1
                     self._drops[sensor, 'undecodable'] += 1
                     continue
+                found = self._sensor(topic, message)
+                if found is None:
+                    continue
+                sensor = found
+                left[sensor] -= 1
+                self._count_frame(sensor, message)
                 try:
                     measurement = converters[sensor](message)
                 except MeasurementError as error:
@@ -123,6 +176,28 @@ class BagSource:
             return None
         return truth
 
+    def _sensor(self, topic: str, message: Any) -> str | None:
+        """Whose message it is; None where it has a frame of a topic's that no LiDAR has."""
+        by_frame = self._sensors[topic]
+        if None in by_frame:
+            return by_frame[None]
+        return by_frame.get(str(message.header.frame_id))
+
+    def _count_frame(self, sensor: str, message: Any) -> None:
+        """Note LiDARs whose frame is not the one that the first clouds had."""
+        if sensor in self._choice.lidars:
+            frame = str(message.header.frame_id)
+            if frame != self._frames[sensor]:
+                self._other_frames[sensor, frame] += 1
+
+    def _frame_notes(self) -> list[str]:
+        return [
+            f'{sensor}: {count} clouds have the frame {frame!r} where the first had '
+            f'{self._frames[sensor]!r}: two LiDARs on one topic, or a frame that was renamed; '
+            'they are used as if nothing had changed (other_frame)'
+            for (sensor, frame), count in self._other_frames.items()
+        ]
+
     @contextmanager
     def _open(self) -> Iterator[BagReader]:
         reader = open_bag(self._path)
@@ -132,12 +207,11 @@ class BagSource:
             reader.close()
 
     def _raw(self, reader: BagReader, left: Counter[str]) -> Iterator[tuple[str, str, bytes]]:
-        """(sensor, type, data) of the sensors' messages; counts those that the bag lost.
+        """(topic, type, data) of the sensors' messages; counts those that the bag lost.
 
         ``left`` is how many messages of each sensor are still to come.
         """
-        sensors = {topic.name: sensor for sensor, topic in self._choice.topics.items()}
-        connections = [c for c in reader.connections if c.topic in sensors]
+        connections = [c for c in reader.connections if c.topic in self._sensors]
         messages = reader.messages(connections=connections)
         while True:
             try:
@@ -150,7 +224,7 @@ class BagSource:
                     reason = ' '.join(str(error).split()) or type(error).__name__
                     raise InputError(f'{self._path}: no message can be read ({reason})') from error
                 break
-            yield sensors[connection.topic], connection.msgtype, data
+            yield connection.topic, connection.msgtype, data
         self._drops.update({(name, 'damaged'): n for name, n in left.items() if n > 0})
 
     def _converters(self) -> dict[str, Converter]:
@@ -161,19 +235,6 @@ class BagSource:
             return lambda message: makers[sensor](message, sensor, self._offsets[sensor])
 
         return {sensor: bind(sensor) for sensor in self._choice.topics}
-
-    def _time_notes(self, reader: BagReader) -> Iterator[str]:
-        """What the first cloud of each LiDAR says about its points' times."""
-        for lidar in self._choice.lidars:
-            topic = self._choice.topics[lidar].name
-            connections = [c for c in reader.connections if c.topic == topic]
-            # A cloud that cannot be read is counted when its turn comes.
-            try:
-                connection, _, data = next(reader.messages(connections=connections))
-                message = reader.deserialize(data, connection.msgtype)
-                yield f'LiDAR {lidar}: {describe_times(message)}'
-            except Exception:
-                continue
 
     def _truth_of_topic(self, topic: str) -> Trajectory | None:
         stamps: list[int] = []
@@ -193,6 +254,40 @@ class BagSource:
         table = np.array(rows)[order]
         quaternions = Rotation.from_quat(table[:, 3:]).as_quat()
         return Trajectory(unique, table[:, :3], quaternions)
+
+
+def _refuse_parts(path: Path, choice: TopicChoice, looks: Mapping[str, TopicLook]) -> None:
+    """Refuse LiDARs whose clouds are parts of a sweep: neighbours have nothing in common."""
+    for name in choice.lidars:
+        topic = choice.topics[name]
+        share = looks[topic.name].partial
+        if share is not None:
+            raise InputError(
+                f'{path}: LiDAR {name} sends partial sweeps: a cloud of {topic.name} covers '
+                f'{100 * share:.0f} % of the directions that its clouds cover together; let the '
+                'driver gather whole sweeps, or use its topic that has them '
+                f'(lidars.{name}.topic)'
+            )
+
+
+def _cloud_notes(
+    choice: TopicChoice, looks: Mapping[str, TopicLook], frames: Mapping[str, str]
+) -> Iterator[str]:
+    """What the first clouds of each LiDAR say about its points' times, and who sends them."""
+    for lidar in choice.lidars:
+        topic = choice.topics[lidar]
+        look = looks.get(topic.name)
+        if look is None:
+            continue
+        times = look.times.get(frames[lidar])
+        if times is not None:
+            yield f'LiDAR {lidar}: {times}'
+        if look.alternating:
+            yield (
+                f'{topic.name}: two kinds of clouds take turns under the one frame_id '
+                f'{frames[lidar]!r}, as of two LiDARs on one topic (two_lidars_one_frame); give '
+                'each its own topic or frame_id, they cannot be told apart here'
+            )
 
 
 def _own_settings(folder: Path, listed: list[str] | None) -> Tree:

@@ -15,6 +15,34 @@ ODOMETRY = 'nav_msgs/msg/Odometry'
 TRUTH_TOPIC = '/ground_truth/odometry'
 
 
+MAP_FRAMES = ('map', 'odom', 'world', 'earth', 'camera_init')
+"""Frames that stand still: clouds in them are maps, or scans that somebody has moved already."""
+
+CONVERTERS = {
+    'velodyne_msgs/msg/VelodyneScan': 'velodyne_pointcloud (velodyne_transform_node)',
+    'ouster_ros/msg/PacketMsg': 'ouster_ros (os_cloud)',
+    'ouster_sensor_msgs/msg/PacketMsg': 'ouster_ros (os_cloud)',
+    'ouster_msgs/msg/PacketMsg': 'ros2_ouster_drivers',
+    'hesai_ros_driver/msg/UdpFrame': 'hesai_ros_driver (source_type: rosbag packets)',
+    'hesai_lidar/msg/PandarScan': 'hesai_lidar (data_type: rosbag)',
+    'pandar_msgs/msg/PandarScan': 'nebula_ros',
+    'nebula_msgs/msg/NebulaPackets': 'nebula_ros',
+    'rslidar_msg/msg/RslidarPacket': 'rslidar_sdk (msg_source: 2)',
+    'rslidar_msgs/msg/RslidarScan': 'rslidar_sdk (msg_source: 2)',
+    'livox_ros_driver/msg/CustomMsg': 'livox_ros_driver (xfer_format: 0 when recording)',
+    'livox_ros_driver2/msg/CustomMsg': 'livox_ros_driver2 (xfer_format: 0 when recording)',
+    'livox_interfaces/msg/CustomMsg': 'livox_ros2_driver (xfer_format: 0 when recording)',
+}
+"""Types that LiDARs of a vendor have, and what makes clouds of them."""
+
+
+@dataclass(frozen=True, slots=True)
+class FrameTopic(Topic):
+    """The messages of a topic that have one ``frame`` of several."""
+
+    frame: str
+
+
 @dataclass(frozen=True, slots=True)
 class TopicChoice:
     """Topic of every sensor that the bag has, and remarks on how they were chosen."""
@@ -24,30 +52,44 @@ class TopicChoice:
     notes: tuple[str, ...]
 
 
-def choose_topics(path: Path, topics: Sequence[Topic], config: Config) -> TopicChoice:
+def choose_topics(
+    path: Path,
+    topics: Sequence[Topic],
+    config: Config,
+    frames: Mapping[str, Mapping[str, int]] | None = None,
+) -> TopicChoice:
     """Find the LiDARs', the IMU's and the receiver's topics.
 
     Args:
         path: the bag, for messages.
         topics: what the bag has.
         config: settings, which may name topics and LiDARs.
+        frames: number of messages by frame_id of the cloud topics, where that is known; a topic
+            with several is that of several LiDARs.
 
     Returns:
         The topics; of several that could be meant, the one with the most messages.
 
     Raises:
-        InputError: a named topic is missing or of another type, two LiDARs share one, or there is
-            no cloud at all; the message lists what the bag has.
+        InputError: a named topic is of another type, two LiDARs share one, or there is no cloud at
+            all; the message lists what the bag has.
     """
-    notes: list[str] = []
-    lidars = _lidars(path, topics, config.lidars, notes)
+    notes = [
+        f'{topic.name}: {topic.type} is no cloud and is not read; {CONVERTERS[topic.type]} '
+        'makes PointCloud2 of it (vendor_message)'
+        for topic in topics
+        if topic.type in CONVERTERS and topic.count
+    ]
+    counts = frames or {}
+    single = {name: next(iter(found)) for name, found in counts.items() if len(found) == 1}
+    lidars = _lidars(path, _by_frame(topics, counts, notes), config.lidars, single, notes)
     chosen = dict(lidars)
     shared = [a for a in lidars if any(lidars[a] == lidars[b] for b in lidars if b != a)]
     if shared:
         raise InputError(f'{path}: LiDARs {", ".join(shared)} have the same topic')
     for name, sensor, kind in (('imu', config.imu, IMU), ('gnss', config.gnss, FIX)):
         topic = (
-            _named(path, topics, f'{name}.topic', sensor.topic, kind)
+            _named(path, topics, f'{name}.topic', sensor.topic, kind, notes)
             if sensor.topic
             else _likeliest(topics, name, kind, notes)
         )
@@ -62,50 +104,120 @@ def find_truth_topic(topics: Sequence[Topic]) -> str | None:
     return TRUTH_TOPIC if TRUTH_TOPIC in names else next(iter(names), None)
 
 
+def _by_frame(
+    topics: Sequence[Topic], frames: Mapping[str, Mapping[str, int]], notes: list[str]
+) -> list[Topic]:
+    """The topics, with one for each frame_id where clouds of several LiDARs come on one."""
+    split: list[Topic] = []
+    for topic in topics:
+        counts = frames.get(topic.name, {})
+        if topic.type != CLOUD or len(counts) < 2:
+            split.append(topic)
+            continue
+        split.extend(
+            FrameTopic(topic.name, topic.type, count, frame) for frame, count in counts.items()
+        )
+        listed = ', '.join(f'{frame or "(none)"} {count}x' for frame, count in counts.items())
+        notes.append(
+            f'{topic.name}: clouds of {len(counts)} frames ({listed}); '
+            'each frame_id is a LiDAR of its own (several_frames)'
+        )
+    return split
+
+
+def _without_maps(clouds: list[Topic], frames: Mapping[str, str], notes: list[str]) -> list[Topic]:
+    """The clouds that are in a sensor's frame."""
+    kept = []
+    for topic in clouds:
+        frame = frames.get(topic.name, '') if not isinstance(topic, FrameTopic) else topic.frame
+        if frame.lstrip('/') in MAP_FRAMES:
+            notes.append(
+                f"{topic.name}: its clouds are in the frame {frame!r}, which is no LiDAR's; left "
+                'out (map_frame); lidars.<name>.topic uses it all the same'
+            )
+        else:
+            kept.append(topic)
+    return kept
+
+
 def _lidars(
-    path: Path, topics: Sequence[Topic], sensors: Mapping[str, Sensor], notes: list[str]
+    path: Path,
+    topics: Sequence[Topic],
+    sensors: Mapping[str, Sensor],
+    frames: Mapping[str, str],
+    notes: list[str],
 ) -> dict[str, Topic]:
     clouds = [topic for topic in topics if topic.type == CLOUD and topic.count]
-    chosen = {
-        name: _named(path, topics, f'lidars.{name}.topic', sensor.topic, CLOUD)
-        for name, sensor in sensors.items()
-        if sensor.topic
-    }
+    chosen: dict[str, Topic] = {}
+    for name, sensor in sensors.items():
+        if sensor.topic:
+            key = f'lidars.{name}.topic'
+            named = _named(path, topics, key, sensor.topic, CLOUD, notes, name)
+            if named is not None:
+                chosen[name] = named
+    free = [topic for topic in clouds if topic not in chosen.values()]
+    free = _without_maps(free, frames, notes) if len(chosen) < len(sensors) or not sensors else free
     if not sensors:
-        chosen = _name_clouds(clouds)
-        notes.extend(f'LiDAR {name}: topic {topic.name}' for name, topic in chosen.items())
-    for name in sensors:
-        if name in chosen:
+        chosen = _name_clouds(free)
+        notes.extend(f'LiDAR {name}: topic {_called(topic)}' for name, topic in chosen.items())
+    for name, sensor in sensors.items():
+        if name in chosen or sensor.topic:
             continue
-        free = [topic for topic in clouds if topic not in chosen.values()]
-        matches = [topic for topic in free if name.lower() in topic.name.lower()]
-        if len(sensors) == 1 and len(free) == 1:
-            matches = free
+        left = [topic for topic in free if topic not in chosen.values()]
+        matches = [topic for topic in left if name.lower() in _called(topic).lower()]
+        if len(sensors) == 1 and len(left) == 1:
+            matches = left
         if not matches:
             notes.append(f'LiDAR {name}: no cloud topic has {name!r} in its name')
             continue
         chosen[name] = max(matches, key=lambda topic: topic.count)
-        notes.append(f'LiDAR {name}: topic {chosen[name].name}')
+        notes.append(f'LiDAR {name}: topic {_called(chosen[name])}')
     if not chosen:
         wanted = f'no cloud for the LiDARs {", ".join(sensors)}' if sensors else 'no LiDAR messages'
+        vendor = ''.join(f'{note}. ' for note in notes if 'vendor_message' in note)
         raise InputError(
             f'{path}: {wanted}; set lidars.<name>.topic to one of the PointCloud2 topics. '
+            + vendor
             + describe_topics(topics)
         )
     return chosen
 
 
-def _named(path: Path, topics: Sequence[Topic], key: str, name: str, kind: str) -> Topic:
+def _called(topic: Topic) -> str:
+    """A topic for people, with its frame where it is one of several."""
+    return f'{topic.name}, frame {topic.frame}' if isinstance(topic, FrameTopic) else topic.name
+
+
+def _named(
+    path: Path,
+    topics: Sequence[Topic],
+    key: str,
+    name: str,
+    kind: str,
+    notes: list[str],
+    sensor: str = '',
+) -> Topic | None:
+    """The topic that the settings name; None with a note where the bag lacks it.
+
+    Of a topic with several frames it is the one that has the ``sensor``'s name in it, else the one
+    with the most messages.
+    """
     # The node's topic names are relative; a bag's are absolute.
-    topic = next((t for t in topics if t.name.lstrip('/') == name.lstrip('/')), None)
-    if topic is None:
-        raise InputError(f'{path}: has no topic {name!r} ({key}). {describe_topics(topics)}')
-    if topic.type != kind:
+    found = [t for t in topics if t.name.lstrip('/') == name.lstrip('/')]
+    if not found:
+        of_kind = ', '.join(sorted({t.name for t in topics if t.type == kind})) or 'none'
+        notes.append(
+            f'{key}: the bag has no topic {name!r}; goes on without it (missing_topic); topics of '
+            f'type {kind}: {of_kind}'
+        )
+        return None
+    if found[0].type != kind:
         raise InputError(
-            f'{path}: topic {name!r} ({key}) is {topic.type}, expected {kind}. '
+            f'{path}: topic {name!r} ({key}) is {found[0].type}, expected {kind}. '
             + describe_topics(topics)
         )
-    return topic
+    fitting = [t for t in found if isinstance(t, FrameTopic) and sensor.lower() in t.frame.lower()]
+    return max(fitting or found, key=lambda topic: topic.count)
 
 
 def _likeliest(topics: Sequence[Topic], name: str, kind: str, notes: list[str]) -> Topic | None:
@@ -124,6 +236,12 @@ def _likeliest(topics: Sequence[Topic], name: str, kind: str, notes: list[str]) 
 def _name_clouds(clouds: Sequence[Topic]) -> dict[str, Topic]:
     """Names that tell the LiDARs apart: ``/left/points`` is left, ``/points_left`` points_left."""
     names = {}
+    framed = {
+        topic.frame.strip('/').replace('/', '_') or 'lidar': topic
+        for topic in clouds
+        if isinstance(topic, FrameTopic)
+    }
+    clouds = [topic for topic in clouds if not isinstance(topic, FrameTopic)]
     for topic in clouds:
         parts = topic.name.strip('/').split('/')
         generic = len(parts) > 1 and any(word in parts[-1].lower() for word in ('point', 'cloud'))
@@ -132,4 +250,4 @@ def _name_clouds(clouds: Sequence[Topic]) -> dict[str, Topic]:
     return {
         names[t.name] if taken.count(names[t.name]) == 1 else t.name.strip('/').replace('/', '_'): t
         for t in clouds
-    }
+    } | framed

@@ -1,0 +1,135 @@
+"""The static transforms of a bag: how its frames hang together."""
+
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.highlevel import AnyReader
+
+from incremental_mapper.geometry import pose_matrix
+
+STATIC_TOPIC, MOVING_TOPIC = '/tf_static', '/tf'
+BASE_FRAME = 'base_link'
+"""The car's frame (REP-105)."""
+MOST_MESSAGES = 2000
+"""Messages of ``/tf`` that are looked at: 20 s at 100 Hz show what moves."""
+_STILL = 1e-6
+"""Largest change of a transform's numbers that is none."""
+
+
+@dataclass(slots=True)
+class FrameTree:
+    """Transforms between frames.
+
+    Attributes:
+        edges: T_parent_child (4, 4) by parent and child.
+        notes: transforms that could not be used.
+    """
+
+    edges: dict[tuple[str, str], NDArray[np.float64]] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+    def base(self) -> str | None:
+        """Name of the car's frame: ``base_link``, or the only one that ends in ``/base_link``."""
+        names = {name for edge in self.edges for name in edge}
+        found = [name for name in sorted(names) if name.split('/')[-1] == BASE_FRAME]
+        return BASE_FRAME if BASE_FRAME in found else found[0] if len(found) == 1 else None
+
+    def between(self, target: str, source: str) -> NDArray[np.float64] | None:
+        """Follow the transforms from one frame to another.
+
+        Args:
+            target: frame that points are wanted in.
+            source: frame that they are in.
+
+        Returns:
+            T_target_source (4, 4), or None where no chain joins the two.
+        """
+        found = {clean(target): np.eye(4)}
+        waiting = deque(found)
+        while waiting:
+            here = waiting.popleft()
+            for (parent, child), matrix in self.edges.items():
+                if parent == here and child not in found:
+                    found[child] = found[here] @ matrix
+                    waiting.append(child)
+                elif child == here and parent not in found:
+                    found[parent] = found[here] @ np.linalg.inv(matrix)
+                    waiting.append(parent)
+        return found.get(clean(source))
+
+
+def clean(frame: str) -> str:
+    """A frame's name without the slash that tf had in front."""
+    return frame.lstrip('/')
+
+
+def read_static_transforms(reader: AnyReader) -> FrameTree:
+    """Read ``/tf_static``.
+
+    Args:
+        reader: an open bag.
+
+    Returns:
+        Its transforms, the newest of each pair of frames.
+    """
+    tree = FrameTree()
+    for edge, numbers in _transforms(reader, STATIC_TOPIC, None):
+        _add(tree, STATIC_TOPIC, edge, numbers)
+    return tree
+
+
+def add_still_transforms(reader: AnyReader, tree: FrameTree) -> None:
+    """Add those of ``/tf`` that do not move, as some publishers have all transforms there.
+
+    Args:
+        reader: an open bag.
+        tree: gets what it has not yet.
+    """
+    first: dict[tuple[str, str], NDArray[np.float64]] = {}
+    moving: set[tuple[str, str]] = set()
+    seen: set[tuple[str, str]] = set()
+    for edge, numbers in _transforms(reader, MOVING_TOPIC, MOST_MESSAGES):
+        if edge not in first:
+            first[edge] = numbers
+            continue
+        seen.add(edge)
+        if not np.allclose(numbers, first[edge], rtol=0.0, atol=_STILL):
+            moving.add(edge)
+    # What was sent once may move still.
+    for edge in first.keys() & (seen - moving) - tree.edges.keys():
+        _add(tree, MOVING_TOPIC, edge, first[edge])
+
+
+def _transforms(
+    reader: AnyReader, topic: str, most: int | None
+) -> Iterator[tuple[tuple[str, str], NDArray[np.float64]]]:
+    """((parent, child), x y z qx qy qz qw) of a topic, in the order in which they were logged."""
+    connections = [c for c in reader.connections if c.topic.lstrip('/') == topic.lstrip('/')]
+    if not connections:
+        return
+    for count, (connection, _, data) in enumerate(reader.messages(connections=connections)):
+        if most is not None and count >= most:
+            return
+        try:
+            message: Any = reader.deserialize(data, connection.msgtype)
+            for stamped in message.transforms:
+                place, turn = stamped.transform.translation, stamped.transform.rotation
+                numbers = np.array([place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w])
+                yield (clean(stamped.header.frame_id), clean(stamped.child_frame_id)), numbers
+        # Of a damaged message the decoder raises whatever it stumbles over.
+        except Exception:
+            continue
+
+
+def _add(tree: FrameTree, topic: str, edge: tuple[str, str], numbers: NDArray[np.float64]) -> None:
+    try:
+        tree.edges[edge] = pose_matrix(numbers.tolist())
+    except ValueError as error:
+        tree.notes.append(
+            f'{topic}: the transform from {edge[1]} to {edge[0]} is left out ({error}) '
+            '(bad_transform)'
+        )
