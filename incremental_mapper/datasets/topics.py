@@ -174,10 +174,11 @@ def _lidars(
         notes.append(f'LiDAR {name}: topic {_called(chosen[name])}')
     if not chosen:
         wanted = f'no cloud for the LiDARs {", ".join(sensors)}' if sensors else 'no LiDAR messages'
-        vendor = ''.join(f'{note}. ' for note in notes if 'vendor_message' in note)
+        why = ('vendor_message', 'missing_topic', 'map_frame')
+        reasons = ''.join(f'{note}. ' for note in notes if any(word in note for word in why))
         raise InputError(
             f'{path}: {wanted}; set lidars.<name>.topic to one of the PointCloud2 topics. '
-            + vendor
+            + reasons
             + describe_topics(topics)
         )
     return chosen
