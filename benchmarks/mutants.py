@@ -49,7 +49,7 @@ ROOMS: dict[str, list[str]] = {
 }
 TESTS = [f'test/{room}' for room in ROOMS]
 SLOW = 20.0
-"""Seconds of the processor, while calls are written down, which takes several times as long as else;
+"""Seconds of the processor while calls are written down, which makes everything slower;
 a test that takes longer tells of faults that a quicker one should have noticed."""
 PATIENCE = 15.0
 """Seconds of the processor beyond twice what the tests take; after that a fault hangs, and is
