@@ -7,6 +7,7 @@ from typing import Any
 
 from tqdm import tqdm
 
+from incremental_mapper.checks.finding import Severity
 from incremental_mapper.cli import exit_status
 from incremental_mapper.config import Tree
 from incremental_mapper.results.offline_run import Stop, map_into, open_drive
@@ -77,4 +78,10 @@ def run(args: argparse.Namespace) -> int:
     for remark in (*found, *remarks):
         print(f'note: {remark}', file=sys.stderr)
     print(summary(done.statistics.to_tree()))
-    return exit_status.INTERRUPTED if done.statistics.interrupted else 0
+    warnings = done.statistics.warnings
+    for finding in reversed(warnings):  # the worst last, where the eye rests
+        print(finding.titled(), file=sys.stderr)
+    if done.statistics.interrupted:
+        return exit_status.INTERRUPTED
+    failed = any(finding.severity is Severity.ERROR for finding in warnings)
+    return exit_status.FAILURE if failed else 0

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
+from incremental_mapper.checks.finding import Finding
 from incremental_mapper.measurements import Drops, Measurement
 from incremental_mapper.trajectory import Trajectory
 
@@ -21,6 +22,7 @@ class SourceInfo:
         settings: a partial settings tree (extrinsics, topics) that the input brings itself; the
             user's settings are laid over it.
         notes: remarks on how it was understood.
+        findings: what is wrong with it.
     """
 
     path: Path
@@ -29,6 +31,7 @@ class SourceInfo:
     duration: float
     settings: dict[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
 
     @property
     def count(self) -> int:

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from incremental_mapper.blas import single_threaded_blas
+from incremental_mapper.checks.finding import Finding
 from incremental_mapper.compiled import waiting
-from incremental_mapper.config import Config
+from incremental_mapper.config import Config, Tree
 from incremental_mapper.errors import MapperError
 from incremental_mapper.frontend.front_end import FrontEnd, Preparation, Prepared
 from incremental_mapper.frontend.imu_preintegration import EMPTY_SERIES, preintegration_parameters
@@ -23,6 +24,7 @@ from incremental_mapper.mapping.georeferencing import georeference
 from incremental_mapper.mapping.load_shedding import NO_SHEDDING, LoadShedding
 from incremental_mapper.mapping.result import MapResult, NewestState, WindowResult
 from incremental_mapper.mapping.statistics import MapStatistics, Totals, map_statistics, window_row
+from incremental_mapper.mapping.watch import Watch
 from incremental_mapper.mapping.window_buffer import Window, WindowBuffer, joined
 from incremental_mapper.measurements import NANOSECONDS, Drops, ImuSample, Measurement
 from incremental_mapper.selection.bridging import bridged
@@ -88,6 +90,7 @@ class Mapper:
         self._totals = Totals()
         self._failed: Drops = Counter()
         self._rows: list[dict[str, Any]] = []
+        self._watch = Watch(config)
 
     @property
     def state(self) -> GraphState:
@@ -121,6 +124,7 @@ class Mapper:
             The windows that were closed, oldest first.
         """
         self._totals.received[measurement.sensor] += 1
+        self._watch.measurement(measurement)
         self._buffer.push(measurement)
         self._shedding = shedding
         self._hold(self._buffer.pop_ready())
@@ -179,6 +183,7 @@ class Mapper:
             fixes=self._fixes(),
             rows=tuple(self._rows),
             statistics=self.statistics,
+            findings=self._watch.final(),
         )
 
     def newest(self) -> NewestState | None:
@@ -193,6 +198,25 @@ class Mapper:
             covariance=self._state.prior.covariance(pose_key(cluster)),
             velocity=self._state.velocity(cluster) if inertial else self._state.last_velocity,
         )
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What was found wrong with the measurements so far, the worst first."""
+        return self._watch.findings()
+
+    @property
+    def mend(self) -> Tree:
+        """Settings that the data proved right against ``config``, empty where there are none.
+
+        They count for a new mapper: whoever has the measurements still, or can do without those
+        that were, begins anew with them.
+        """
+        return self._watch.mend
+
+    @property
+    def mended(self) -> tuple[Finding, ...]:
+        """The findings that ``mend`` puts right."""
+        return self._watch.mended()
 
     @property
     def statistics(self) -> MapStatistics:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from incremental_mapper.candidates.model import Candidate
+from incremental_mapper.checks.finding import Finding
 from incremental_mapper.config import MapSettings
 from incremental_mapper.graph.factors import Factor
 from incremental_mapper.map.cloud import accumulate
@@ -65,6 +66,7 @@ class MapResult:
         fixes: Antenna positions (K, 3) of the used fixes, metres in the map.
         rows: The rows of ``windows.csv``.
         statistics: What the mapper counted.
+        findings: What is wrong with the measurements or the map, the worst first.
     """
 
     clusters: tuple[PlacedCluster, ...]
@@ -75,6 +77,7 @@ class MapResult:
     fixes: NDArray[np.float64]
     rows: tuple[dict[str, Any], ...]
     statistics: MapStatistics
+    findings: tuple[Finding, ...] = ()
 
     def placed_scans(self) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float64]]]:
         """Points (N, 3) in base_link and T_map_base (4, 4) of every scan."""

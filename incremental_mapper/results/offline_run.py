@@ -5,9 +5,9 @@
 
 import signal
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from incremental_mapper.checks.finding import Finding
 from incremental_mapper.config import Config, Tree
 from incremental_mapper.datasets.open import open_source, read_truth
 from incremental_mapper.datasets.source import Source
@@ -29,14 +30,24 @@ from incremental_mapper.results.trajectory_errors import trajectory_errors
 from incremental_mapper.settings import make_config, merge, read_yaml
 from incremental_mapper.trajectory import Trajectory
 
+MOST_MENDS = 3
+"""How often a run begins anew with settings that its data proved right."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drive:
-    """An opened input, its effective settings and its truth, if there is one."""
+    """An opened input, its effective settings and its truth, if there is one.
+
+    ``tree`` are the user's settings and what was mended since, ``where`` is where they come from.
+    ``mended`` is what the data have proved wrong so far, and ``config`` puts right.
+    """
 
     source: Source
     config: Config
     truth: Trajectory | None
+    tree: Tree
+    where: str
+    mended: tuple[Finding, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,6 +57,15 @@ class Run:
     result: MapResult
     points: NDArray[np.float32]
     statistics: RunStatistics
+
+
+class MendError(Exception):
+    """Ends a run whose data proved a setting wrong: it begins anew with ``settings``."""
+
+    def __init__(self, settings: Tree, findings: Sequence[Finding]) -> None:
+        super().__init__('the data prove a setting wrong')
+        self.settings = settings
+        self.findings = tuple(findings)
 
 
 class Stop:
@@ -88,7 +108,8 @@ def open_drive(path: Path, tree: Tree, where: str, truth: Path | None = None) ->
     make_config(tree, where)  # settings that are wrong by themselves are told before any reading
     source = open_source(path, tree)
     config = effective_config(source, tree, where)
-    return Drive(source, config, source.truth() if truth is None else read_truth(truth))
+    known = source.truth() if truth is None else read_truth(truth)
+    return Drive(source, config, known, tree, where)
 
 
 def effective_config(source: Source, tree: Mapping[str, Any], where: str) -> Config:
@@ -127,11 +148,14 @@ def map_into(
         OutputError: A file cannot be written.
         KeyboardInterrupt: It was stopped before anything was mapped.
     """
-    remarks = []
-    with candidate_recorder(folder / FILE_NAME) as record:
-        if record is None:
-            remarks.append(MISSING)
-        run = map_source(drive.source, drive.config, drive.truth, progress, stop, record)
+    remarks: list[str] = []
+
+    def attempt(drive: Drive, may_mend: bool) -> Run:
+        with candidate_recorder(folder / FILE_NAME) as record:
+            remarks[:] = [MISSING] if record is None else []
+            return _map_once(drive, progress, stop, record, may_mend)
+
+    run = _mending(drive, attempt)
     write_result(folder, run.result, run.points, run.statistics.to_tree())
     undrawn = draw_result(folder, run.result, run.points, drive.truth)
     return run, remarks if undrawn is None else [*remarks, undrawn]
@@ -174,7 +198,7 @@ def map_drive(
     where = str(config) if named else 'settings'
     drive = open_drive(Path(path), tree, where, None if truth is None else Path(truth))
     if out is None:
-        return map_source(drive.source, drive.config, drive.truth)
+        return _mending(drive, lambda drive, may_mend: _map_once(drive, may_mend=may_mend))
     prepare_folder(Path(out), force)
     return map_into(Path(out), drive)[0]
 
@@ -187,7 +211,7 @@ def map_source(
     stop: Stop | None = None,
     observe: Callable[[WindowResult], object] | None = None,
 ) -> Run:
-    """Map an input from end to end.
+    """Map an input from end to end, as the settings say.
 
     Args:
         source: An opened input; it is read once.
@@ -204,6 +228,33 @@ def map_source(
         InputError: Nothing of the input could be used.
         KeyboardInterrupt: It was stopped before anything was mapped.
     """
+    drive = Drive(source, config, truth, {}, '')
+    return _map_once(drive, progress, stop, observe)
+
+
+def _mending(drive: Drive, attempt: Callable[[Drive, bool], Run]) -> Run:
+    """Map a drive, and begin anew where the data prove a setting wrong."""
+    for _ in range(MOST_MENDS):
+        try:
+            return attempt(drive, True)
+        except MendError as mend:
+            tree = merge(drive.tree, mend.settings)
+            source = open_source(drive.source.info.path, tree)
+            config = effective_config(source, tree, drive.where)
+            mended = (*drive.mended, *mend.findings)
+            drive = replace(drive, source=source, config=config, tree=tree, mended=mended)
+    return attempt(drive, False)
+
+
+def _map_once(
+    drive: Drive,
+    progress: Callable[[int], object] | None = None,
+    stop: Stop | None = None,
+    observe: Callable[[WindowResult], object] | None = None,
+    may_mend: bool = False,
+) -> Run:
+    """As ``map_source``; raises MendError, if it may, where the data prove a setting wrong."""
+    source, config, truth = drive.source, drive.config, drive.truth
 
     def tell(windows: Iterable[WindowResult]) -> None:
         for window in windows:
@@ -212,12 +263,17 @@ def map_source(
 
     started = time.perf_counter()
     mapper = Mapper(config, [name for name, count in source.info.counts.items() if count])
-    interrupted = False
+    interrupted, count = False, 0
     with closing(mapper):
         for measurement in source.measurements():
             tell(mapper.advance(measurement, READ_AHEAD))
+            count += 1
             if progress is not None:
                 progress(1)
+            if may_mend and mapper.mend:
+                if progress is not None:
+                    progress(-count)
+                raise MendError(mapper.mend, mapper.mended)
             if stop is not None and stop.wanted:
                 interrupted = True
                 break
@@ -238,6 +294,7 @@ def map_source(
         InputFacts(str(info.path), info.kind, info.counts, info.notes),
         errors,
         interrupted,
+        (*info.findings, *drive.mended),
     )
     return Run(result, points, statistics)
 

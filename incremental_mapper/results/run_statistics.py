@@ -1,7 +1,7 @@
 """``stats.json`` as one record: what the mapper counted, and what the run around it adds."""
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from importlib import metadata
 from typing import Any, Self, TypeAlias
@@ -9,6 +9,7 @@ from typing import Any, Self, TypeAlias
 import numpy as np
 
 from incremental_mapper import __version__
+from incremental_mapper.checks.finding import Finding, ranked
 from incremental_mapper.mapping.result import MapResult
 from incremental_mapper.mapping.statistics import MapStatistics, peak_rss_mb
 from incremental_mapper.measurements import Drops
@@ -47,6 +48,7 @@ class RunStatistics:
     ``mapped`` holds the mapper's own keys. ``dropped`` counts what was lost in the mapper and
     before it. ``wall_s`` are the seconds that the run took and ``real_time_factor`` those of the
     drive divided by them; ``peak_rss_mb`` is the largest resident memory of the process.
+    ``warnings`` are what was found wrong, the worst first.
     ``windows`` is None where no window held a core measurement, ``errors`` where there is no
     truth.
     """
@@ -62,6 +64,7 @@ class RunStatistics:
     map_points: int
     errors: TrajectoryErrors | None
     input: InputFacts
+    warnings: tuple[Finding, ...] = ()
 
     @classmethod
     def of_run(
@@ -73,6 +76,7 @@ class RunStatistics:
         facts: InputFacts,
         errors: TrajectoryErrors | None = None,
         interrupted: bool = False,
+        findings: Iterable[Finding] = (),
     ) -> Self:
         """The record of a run that has just ended in this process.
 
@@ -84,6 +88,7 @@ class RunStatistics:
             facts: What was mapped.
             errors: Against the truth, where there is one.
             interrupted: Whether the rest of the input was not read.
+            findings: What was wrong with the input, before the mapper's own.
         """
         return cls(
             mapped=result.statistics,
@@ -97,11 +102,13 @@ class RunStatistics:
             map_points=map_points,
             errors=errors,
             input=facts,
+            warnings=ranked([*findings, *result.findings]),
         )
 
     def to_tree(self) -> dict[str, Any]:
         """The keys of ``stats.json`` in their order, as plain values."""
         return {
+            'warnings': [finding.to_tree() for finding in self.warnings],
             **self.mapped.to_tree(),
             'dropped': self.dropped,
             'wall_s': self.wall_s,

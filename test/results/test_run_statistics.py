@@ -42,6 +42,7 @@ def test_keys_stand_in_their_order(result):
     windows = ['median', 'p99', 'first_tenth', 'last_tenth']
     tree = RunStatistics.of_run(result, Counter(), 2.0, 7, FACTS, ERRORS).to_tree()
     assert list(tree) == [
+        'warnings',
         *result.statistics.to_tree(),
         *ADDED,
         *(f'window_{name}_s' for name in windows),
@@ -60,7 +61,7 @@ def test_keys_stand_in_their_order(result):
 
 def test_without_truth_and_windows_their_keys_are_missing(result):
     tree = RunStatistics.of_run(replace(result, rows=()), Counter(), 2.0, 7, FACTS).to_tree()
-    assert list(tree) == [*result.statistics.to_tree(), *ADDED, *ENDING, 'input']
+    assert list(tree) == ['warnings', *result.statistics.to_tree(), *ADDED, *ENDING, 'input']
 
 
 def test_numbers_of_a_run(result):
