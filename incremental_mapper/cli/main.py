@@ -1,6 +1,7 @@
 """The ``incremental_mapper`` command."""
 
 import argparse
+import os
 import signal
 import sys
 from collections.abc import Sequence
@@ -56,12 +57,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     words = sys.argv[1:] if arguments is None else list(arguments)
     try:
-        args = make_parser(words[0] if words else None).parse_args(words)
-        args.words = words  # evaluate writes down what it was called with
-        status: int = args.func(args)
+        try:
+            args = make_parser(words[0] if words else None).parse_args(words)
+            args.words = words  # evaluate writes down what it was called with
+            status: int = args.func(args)
+        finally:
+            sys.stdout.flush()  # here, and not by the interpreter's end, which would complain
     except MapperError as error:
         print(f'incremental_mapper: {error}', file=sys.stderr)
         return exit_status.FAILURE
+    except BrokenPipeError:
+        _close_output()
+        return exit_status.PIPE_CLOSED
     except KeyboardInterrupt:
         _end(arguments)
         print('incremental_mapper: interrupted', file=sys.stderr)
@@ -69,6 +76,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     finally:
         _end(arguments)
     return status
+
+
+def _close_output() -> None:
+    """Whoever read the output has gone, as ``head`` does: nothing more is written to it."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except BrokenPipeError:
+            os.dup2(nowhere, stream.fileno())
+    os.close(nowhere)
 
 
 def _end(arguments: Sequence[str] | None) -> None:

