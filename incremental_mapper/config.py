@@ -184,6 +184,12 @@ class GraphSettings(Section):
     """The same, radians."""
     weak_sigma_velocity: Sigma = 1.0
     """The same, m/s."""
+    bridge_speed: float = Field(default=20.0, ge=0.0, le=1000.0)
+    """A bridge over a hole in all data is looser by so many metres for each second beyond the
+    first: what the vehicle can do unseen."""
+    bridge_rate: float = Field(default=0.3, ge=0.0, le=100.0)
+    """The same, radians for each second; a bridge never says more than that half a turn is
+    possible."""
     max_iterations: int = Field(default=10, ge=1, le=200)
     """Iterations of one local solve."""
     markers_span: float = Field(default=10.0, ge=0.1, le=3600.0)

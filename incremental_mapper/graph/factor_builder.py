@@ -177,7 +177,8 @@ class FactorBuilder:
             newest: T_map_base of the newest cluster of G(t-1), None where there is none.
 
         Returns:
-            A relative pose with large standard deviations.
+            A relative pose with large standard deviations, which grow with the hole: however
+            long it was, the earlier map must not follow what comes after it.
         """
         graph, frontier = self._in.config.graph, self._in.frontier
         if frontier.newest is None or newest is None:
@@ -185,11 +186,14 @@ class FactorBuilder:
             pose = self._in.states[stamp].pose
         else:
             anchor, stamp, pose = frontier.newest, frontier.newest_stamp, newest
+        unseen = max(abs(cluster.stamp - stamp) / NANOSECONDS - 1.0, 0.0)
+        position = graph.weak_sigma_position + graph.bridge_speed * unseen
+        rotation = min(graph.weak_sigma_rotation + graph.bridge_rate * unseen, np.pi)
         return between_factor(
             FactorKind.BRIDGE,
             (pose_key(anchor), pose_key(self._partitions.number(cluster))),
             pose.between(self._in.states[cluster.stamp].pose),
-            pose_sigmas(graph.weak_sigma_position, graph.weak_sigma_rotation),
+            pose_sigmas(position, max(rotation, graph.weak_sigma_rotation)),
             None,
             (stamp, cluster.stamp),
         )

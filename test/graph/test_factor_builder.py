@@ -240,6 +240,16 @@ def test_bridge_is_the_predicted_motion_from_the_newest_cluster():
     assert_poses(alone.factor.measured(), motion(40 * MS, 240 * MS))
 
 
+@pytest.mark.parametrize(
+    ('hole', 'metres', 'radians'), [(1.0, 1.0, 0.2), (3.0, 41.0, 0.8), (600.0, 11981.0, np.pi)]
+)
+def test_bridge_is_the_looser_the_longer_the_hole(hole, metres, radians):
+    problem = problem_of({round(hole * 1000) * MS: {'left'}})
+    (alone,) = merged(problem, (0, 0)).clusters
+    sigmas = problem.factors.bridge(alone, alone, truth(0)).data['sigmas']
+    assert sigmas == pytest.approx([radians] * 3 + [metres] * 3)
+
+
 def test_regularising_prior_is_weak_and_at_the_predicted_pose():
     graph = {'weak_sigma_position': 1.5, 'weak_sigma_rotation': 0.25}
     problem = problem_of(SPREAD, config=car_settings(graph=graph))
