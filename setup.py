@@ -1,10 +1,14 @@
 """Packaging for pip and for colcon (build type ament_python)."""
 
+import re
 from pathlib import Path
 
 from setuptools import find_packages, setup
 
 NAME = 'incremental_mapper'
+# Not "version = attr:" in setup.cfg: setuptools then prints a line that colcon takes for metadata.
+DOOR = Path(__file__).with_name(NAME) / '__init__.py'
+VERSION = re.search(r"^__version__ = '(.+)'$", DOOR.read_text(encoding='utf-8'), re.M)[1]
 SETTINGS = sorted(str(path) for path in Path('config').iterdir())
 
 SIMULATION = ['embreex>=2.17.7.post4']
@@ -38,6 +42,7 @@ ROS = ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces']
 
 setup(
     name=NAME,
+    version=VERSION,
     description='Window-by-window selection of the factor graph that makes the best local map',
     author='The incremental_mapper authors',
     license='Apache-2.0',
