@@ -5,8 +5,6 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
 
-from incremental_mapper.config import Tree
-
 
 class Severity(StrEnum):
     """What follows from a finding."""
@@ -41,7 +39,7 @@ class Finding:
     sensor: str
     text: str
     remedy: str = ''
-    settings: Tree = field(default_factory=dict, compare=False)
+    settings: dict[str, Any] = field(default_factory=dict, compare=False)
 
     def line(self) -> str:
         """The finding in one line, as the terminal and the log show it."""

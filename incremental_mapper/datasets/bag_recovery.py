@@ -10,6 +10,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Callable
 from contextlib import closing
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,15 @@ from rosbags.rosbag2.reader import DirectoryReader
 from rosbags.rosbag2.storage_mcap import McapReader
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
+from incremental_mapper.checks.finding import Finding
+from incremental_mapper.checks.recording_files import (
+    CutFile,
+    UnclosedFile,
+    truncated_bag,
+    unclosed_bag,
+    unknown_storage,
+    wrong_metadata,
+)
 from incremental_mapper.measurements import NANOSECONDS
 
 _HEADER_BYTES = 9
@@ -28,14 +38,28 @@ _UNFINISHED = ('-wal', '-journal')
 """What SQLite keeps beside a database that was not closed."""
 
 
+@dataclass(slots=True)
+class _Damage:
+    """What the files of a bag turned out to be when they were opened."""
+
+    cut: list[CutFile] = field(default_factory=list)
+    unclosed: list[UnclosedFile] = field(default_factory=list)
+    identifiers: list[str] = field(default_factory=list)
+    metadata: list[Finding] = field(default_factory=list)
+
+    def clear(self) -> None:
+        for part in (self.cut, self.unclosed, self.identifiers, self.metadata):
+            part.clear()
+
+
 class BagReader(AnyReader):
-    """The bag library's reader; ``notes`` say what was mended once it is open."""
+    """The bag library's reader; once it is open, ``findings`` say what was mended."""
 
     def __init__(self, paths: list[Path], **options: Any) -> None:
         """See ``AnyReader``."""
         super().__init__(paths, **options)
-        self.notes: list[str] = []
-        plugins = _ByEnding(self.notes)
+        self._damage = _Damage()
+        plugins = _ByEnding(self._damage)
         for reader in self.readers:
             storage = getattr(reader, 'storage', None)
             if isinstance(storage, DirectoryReader):
@@ -45,21 +69,32 @@ class BagReader(AnyReader):
 
     def open(self) -> None:
         """Open the bag; times that its metadata tell wrongly are taken from its files."""
-        self.notes.clear()
+        self._damage.clear()
         super().open()
         for reader in self.readers:
             storage = getattr(reader, 'storage', None)
             if isinstance(storage, DirectoryReader):
-                _mend_metadata(storage, self.notes)
+                self._damage.metadata.extend(_mend_metadata(storage))
+
+    @property
+    def findings(self) -> list[Finding]:
+        """What was wrong with the files."""
+        damage = self._damage
+        return [
+            *truncated_bag(damage.cut),
+            *unclosed_bag(damage.unclosed),
+            *unknown_storage(damage.identifiers),
+            *damage.metadata,
+        ]
 
 
 class _SalvagingMcap(McapReader):
     """Reads an MCAP file without its end: the whole records before the damage."""
 
-    def __init__(self, path: Path, notes: list[str]) -> None:
+    def __init__(self, path: Path, damage: _Damage) -> None:
         super().__init__(path)
         self._name = path.name
-        self._notes = notes
+        self._damage = damage
 
     def _open(self) -> None:
         try:
@@ -96,12 +131,8 @@ class _SalvagingMcap(McapReader):
             message_count=found.message_count,
         )
         seconds = (found.end_time - found.start_time) / NANOSECONDS
-        self._notes.append(
-            f'{self._name}: is cut off, its end with the index is missing; '
-            f'{found.message_count} messages of {seconds:.1f} s are read, the last '
-            f'{size - self.data_end} of {size} bytes are lost (truncated_bag); '
-            '"mcap recover" makes a whole file of it'
-        )
+        lost = size - self.data_end
+        self._damage.cut.append(CutFile(self._name, found.message_count, seconds, lost, size))
 
     def _last_whole_record(self, size: int) -> int:
         """Where the last record ends that is whole."""
@@ -120,9 +151,9 @@ class _SalvagingMcap(McapReader):
 class _RecoveringSqlite(Sqlite3Reader):
     """Reads a database that its recorder did not close: SQLite's own recovery on a copy."""
 
-    def __init__(self, path: Path, notes: list[str]) -> None:
+    def __init__(self, path: Path, damage: _Damage) -> None:
         super().__init__(path)
-        self._notes = notes
+        self._damage = damage
         self._original = path
         self._folder: tempfile.TemporaryDirectory[str] | None = None
 
@@ -163,12 +194,8 @@ class _RecoveringSqlite(Sqlite3Reader):
             ) from error
         self.path = copy
         size = sum(file.stat().st_size for file in left)
-        self._notes.append(
-            f'{self._original.name}: its recorder did not close it; the {size / 1e6:.1f} MB in '
-            f'{" and ".join(file.name for file in left)} are read from a temporary copy '
-            '(unclosed_bag); '
-            f'sqlite3 {self._original.name} "PRAGMA wal_checkpoint(TRUNCATE);" finishes it'
-        )
+        names = tuple(file.name for file in left)
+        self._damage.unclosed.append(UnclosedFile(self._original.name, names, size))
 
     def _clean(self) -> None:
         self.path = self._original
@@ -183,9 +210,9 @@ class _ByEnding(dict[str, Callable[[Path], Any]]):
     A dictionary because the library looks the identifier up in one.
     """
 
-    def __init__(self, notes: list[str]) -> None:
+    def __init__(self, damage: _Damage) -> None:
         super().__init__()
-        self._notes = notes
+        self._damage = damage
 
     def __contains__(self, identifier: object) -> bool:
         return True
@@ -193,16 +220,10 @@ class _ByEnding(dict[str, Callable[[Path], Any]]):
     def __missing__(self, identifier: str) -> Callable[[Path], Any]:
         def known(path: Path) -> Any:
             if identifier not in ('mcap', 'sqlite3'):
-                note = (
-                    f'metadata.yaml: storage_identifier is {identifier!r}; '
-                    f'{path.suffix or "no ending"} of the files tells what they are '
-                    '(wrong_metadata)'
-                )
-                if note not in self._notes:
-                    self._notes.append(note)
+                self._damage.identifiers.append(identifier)
                 return self.of_file(path)
             return (_SalvagingMcap if identifier == 'mcap' else _RecoveringSqlite)(
-                path, self._notes
+                path, self._damage
             )
 
         return known
@@ -210,43 +231,36 @@ class _ByEnding(dict[str, Callable[[Path], Any]]):
     def of_file(self, path: Path) -> Any:
         """A reader for a file by its ending."""
         if path.suffix == '.mcap':
-            return _SalvagingMcap(path, self._notes)
+            return _SalvagingMcap(path, self._damage)
         if path.suffix == '.db3':
-            return _RecoveringSqlite(path, self._notes)
+            return _RecoveringSqlite(path, self._damage)
         raise ValueError(f'{path.name} ends neither in .mcap nor in .db3')
 
 
-def _mend_metadata(storage: DirectoryReader, notes: list[str]) -> None:
+def _mend_metadata(storage: DirectoryReader) -> list[Finding]:
     """Replace span and counts of ``metadata.yaml`` by those of the files where they differ."""
     parts = [part.metadata for part in storage.storages if part.metadata.message_count]
     if not parts:
-        return
+        return []
     start = min(part.start_time for part in parts)
     end = max(part.end_time for part in parts)
     told = storage.metadata
-    wrong = []
-    if start < told.start_time or end > told.end_time:
-        wrong.append(
-            f'times are of {(told.end_time - told.start_time) / NANOSECONDS:.1f} s, its files have '
-            f'{(end - start) / NANOSECONDS:.1f} s'
-        )
     counts: Counter[tuple[str, str]] = Counter()
     for part in storage.storages:
         for connection in part.connections:
             counts[connection.topic, connection.msgtype] += connection.msgcount
-    if any(counts[c.topic, c.msgtype] > c.msgcount for c in storage.connections):
-        wrong.append(
-            f'counts are of {told.message_count} messages, its files have {sum(counts.values())}'
-        )
+    findings = wrong_metadata(
+        ((told.end_time - told.start_time) / NANOSECONDS, told.message_count),
+        ((end - start) / NANOSECONDS, sum(counts.values())),
+        times=start < told.start_time or end > told.end_time,
+        counts=any(counts[c.topic, c.msgtype] > c.msgcount for c in storage.connections),
+    )
+    if findings:
         storage.connections[:] = [
             c._replace(msgcount=max(c.msgcount, counts[c.topic, c.msgtype]))
             for c in storage.connections
         ]
-    if wrong:
         storage.metadata = told._replace(
             start_time=min(start, told.start_time), end_time=max(end, told.end_time)
         )
-        notes.append(
-            f'metadata.yaml: {" and ".join(wrong)}; the files are believed (wrong_metadata); '
-            '"ros2 bag reindex" writes it anew'
-        )
+    return findings

@@ -10,6 +10,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from incremental_mapper.checks.sweeps import other_frame, two_lidars_one_frame
 from incremental_mapper.config import Tree
 from incremental_mapper.datasets.bag_files import Topic, bag_files, open_bag
 from incremental_mapper.datasets.bag_recovery import BagReader
@@ -88,15 +89,25 @@ class BagSource:
                 else next(iter(counts.get(topic.name, {})), None) or look_at_frame(reader, topic)
                 for name, topic in self._choice.topics.items()
             }
-            extrinsics, of_extrinsics = find_extrinsics(
+            extrinsics = find_extrinsics(
                 reader, merge(own, tree), self._frames, self._choice.lidars
             )
             self._begin, self._end = reader.start_time, reader.end_time
+            lidars = self._looked_at(looks)
             notes = [
-                *reader.notes,
                 *self._choice.notes,
-                *of_extrinsics,
-                *_cloud_notes(self._choice, looks, self._frames),
+                *extrinsics.notes,
+                *(f'LiDAR {name}: {look.times[frame]}' for name, frame, look in lidars),
+            ]
+            findings = [
+                *reader.findings,
+                *self._choice.findings,
+                *extrinsics.findings,
+                *(
+                    two_lidars_one_frame(name, self._choice.topics[name].name, frame)
+                    for name, frame, look in lidars
+                    if look.alternating
+                ),
             ]
         self._sensors: dict[str, dict[str | None, str]] = {}
         for name, topic in self._choice.topics.items():
@@ -113,16 +124,23 @@ class BagSource:
             counts={name: topic.count for name, topic in self._choice.topics.items()},
             duration=max(self._end - self._begin, 0) / NANOSECONDS,
             settings=merge(
-                merge(own, _topic_settings(self._choice, list(config.lidars))), extrinsics
+                merge(own, _topic_settings(self._choice, list(config.lidars))),
+                extrinsics.settings,
             ),
             notes=tuple(notes),
+            findings=tuple(findings),
         )
 
     @property
     def info(self) -> SourceInfo:
         """Facts about the bag, with what the last run of ``measurements`` remarked."""
-        found = (*self._frame_notes(), *self._remarks.notes())
-        return replace(self._info, notes=(*self._info.notes, *found))
+        frames = [
+            other_frame(sensor, self._frames[sensor], frame, count)
+            for (sensor, frame), count in self._other_frames.items()
+        ]
+        notes = (*self._info.notes, *self._remarks.notes())
+        findings = (*self._info.findings, *frames, *self._remarks.findings())
+        return replace(self._info, notes=notes, findings=findings)
 
     @property
     def drops(self) -> Drops:
@@ -190,12 +208,13 @@ class BagSource:
             if frame != self._frames[sensor]:
                 self._other_frames[sensor, frame] += 1
 
-    def _frame_notes(self) -> list[str]:
+    def _looked_at(self, looks: Mapping[str, TopicLook]) -> list[tuple[str, str, TopicLook]]:
+        """(LiDAR, frame, look) of those whose points' times are known."""
         return [
-            f'{sensor}: {count} clouds have the frame {frame!r} where the first had '
-            f'{self._frames[sensor]!r}: two LiDARs on one topic, or a frame that was renamed; '
-            'they are used as if nothing had changed (other_frame)'
-            for (sensor, frame), count in self._other_frames.items()
+            (name, self._frames[name], look)
+            for name in self._choice.lidars
+            if (look := looks.get(self._choice.topics[name].name)) is not None
+            and self._frames[name] in look.times
         ]
 
     @contextmanager
@@ -267,26 +286,6 @@ def _refuse_parts(path: Path, choice: TopicChoice, looks: Mapping[str, TopicLook
                 f'{100 * share:.0f} % of the directions that its clouds cover together; let the '
                 'driver gather whole sweeps, or use its topic that has them '
                 f'(lidars.{name}.topic)'
-            )
-
-
-def _cloud_notes(
-    choice: TopicChoice, looks: Mapping[str, TopicLook], frames: Mapping[str, str]
-) -> Iterator[str]:
-    """What the first clouds of each LiDAR say about its points' times, and who sends them."""
-    for lidar in choice.lidars:
-        topic = choice.topics[lidar]
-        look = looks.get(topic.name)
-        if look is None:
-            continue
-        times = look.times.get(frames[lidar])
-        if times is not None:
-            yield f'LiDAR {lidar}: {times}'
-        if look.alternating:
-            yield (
-                f'{topic.name}: two kinds of clouds take turns under the one frame_id '
-                f'{frames[lidar]!r}, as of two LiDARs on one topic (two_lidars_one_frame); give '
-                'each its own topic or frame_id, they cannot be told apart here'
             )
 
 

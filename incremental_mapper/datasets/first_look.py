@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rosbags.highlevel import AnyReader
 
+from incremental_mapper.checks.sweeps import partial_sweeps, take_turns
 from incremental_mapper.datasets.bag_files import Topic
 from incremental_mapper.datasets.message_conversion import describe_times
 from incremental_mapper.datasets.point_clouds import cloud_points, cloud_table
@@ -16,22 +17,6 @@ from incremental_mapper.errors import MeasurementError
 
 LOOKED_AT = 24
 """First clouds that are looked at: two sweeps of a LiDAR that sends tenths, and some."""
-_FEWEST = 12
-"""Clouds that tell what a LiDAR sends."""
-_BINS = 72
-_PARTIAL = 0.6
-"""Share of the turn that all clouds together cover, below which single ones are partial. Whole
-sweeps have 1.0, halves 0.5."""
-_OVERLAP = 0.5
-"""Share of a cloud's directions that the next cloud of a turning LiDAR has too, at most, where each
-is a part of the sweep. A LiDAR that looks one way covers the same each time."""
-_DENSE = 3.0
-"""Points for each of the directions that a cloud covers; with fewer nothing can be told."""
-_ALTERNATE = 0.35
-"""How much more a cloud is like the one before the last than like the last, where two LiDARs take
-turns. One LiDAR has about 1.3 on a street, more on a turn."""
-_APART = 0.3
-"""Metres by which the clouds of two LiDARs differ at least, on average."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,12 +68,12 @@ def look_at_clouds(reader: AnyReader, topic: Topic) -> TopicLook:
         except MeasurementError:
             continue
         clouds.append(points[np.isfinite(points).all(axis=1) & points.any(axis=1)])
-    one = len(frames) == 1 and len(clouds) >= _FEWEST
+    one = len(frames) == 1
     return TopicLook(
         dict(frames),
         times,
-        _partial(clouds) if one else None,
-        one and _alternating(clouds),
+        partial_sweeps(clouds) if one else None,
+        one and take_turns(clouds),
     )
 
 
@@ -119,33 +104,3 @@ def _messages(reader: AnyReader, topic: Topic) -> Iterator[Any]:
 
 def _frame(message: Any) -> str:
     return str(message.header.frame_id)
-
-
-def _partial(clouds: list[NDArray[np.float32]]) -> float | None:
-    """Share of the directions in one cloud, where each cloud is another part of the sweep."""
-    if np.median([len(cloud) for cloud in clouds]) < 1:
-        return None
-    covered = np.array([_directions(cloud) for cloud in clouds])
-    sizes = covered.sum(axis=1)
-    points = np.array([len(cloud) for cloud in clouds])
-    share = float(np.median(sizes) / max(covered.any(axis=0).sum(), 1))
-    with_next = (covered[:-1] & covered[1:]).sum(axis=1) / np.maximum(sizes[:-1], 1)
-    dense = bool((points >= _DENSE * sizes).mean() > 0.5)
-    return share if share < _PARTIAL and np.median(with_next) < _OVERLAP and dense else None
-
-
-def _directions(cloud: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Which of the directions around the LiDAR have points."""
-    azimuth = np.arctan2(cloud[:, 1], cloud[:, 0])
-    index = ((azimuth / (2.0 * np.pi) + 0.5) * _BINS).astype(int) % _BINS
-    return np.bincount(index, minlength=_BINS) > 0
-
-
-def _alternating(clouds: list[NDArray[np.float32]]) -> bool:
-    """Whether clouds are like the one before the last, and unlike the last."""
-    if min(len(cloud) for cloud in clouds) < 2:
-        return False
-    kinds = np.array([[*cloud.mean(axis=0), *cloud.std(axis=0)] for cloud in clouds])
-    last = float(np.median(np.abs(kinds[1:] - kinds[:-1]).sum(axis=1)))
-    before = float(np.median(np.abs(kinds[2:] - kinds[:-2]).sum(axis=1)))
-    return last > _APART and before < _ALTERNATE * last

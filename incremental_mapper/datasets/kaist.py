@@ -65,7 +65,9 @@ class KaistSource:
     @property
     def info(self) -> SourceInfo:
         """Facts about the folder, with what the last run of ``measurements`` remarked."""
-        return replace(self._info, notes=(*self._info.notes, *self._remarks.notes()))
+        notes = (*self._info.notes, *self._remarks.notes())
+        findings = (*self._info.findings, *self._remarks.findings())
+        return replace(self._info, notes=notes, findings=findings)
 
     @property
     def drops(self) -> Drops:

@@ -1,7 +1,9 @@
-"""What was wrong with messages that were used nevertheless, counted for the notes of an input."""
+"""What was wrong with messages that were used nevertheless, counted."""
 
 from collections import Counter
 
+from incremental_mapper.checks.finding import Finding
+from incremental_mapper.checks.used_otherwise import remarked
 from incremental_mapper.measurements import NANOSECONDS, GnssFix, LidarScan, Measurement
 
 FROZEN_FIXES = 5
@@ -16,6 +18,7 @@ class Remarks:
 
     def __init__(self) -> None:
         self._counts: Counter[tuple[str, str]] = Counter()
+        self._totals: Counter[str] = Counter()
         self._texts: dict[tuple[str, str], str] = {}
         self._receivers: dict[str, _Receiver] = {}
 
@@ -27,6 +30,7 @@ class Remarks:
         """
         if not isinstance(measurement, (LidarScan, GnssFix)):
             return
+        self._totals[measurement.sensor] += 1
         for remark in measurement.remarks:
             key = measurement.sensor, remark.reason
             self._counts[key] += 1
@@ -34,12 +38,16 @@ class Remarks:
         if isinstance(measurement, GnssFix):
             self._receivers.setdefault(measurement.sensor, _Receiver()).take(measurement)
 
-    def notes(self) -> tuple[str, ...]:
-        """One line for every sensor and kind of remark, with the text of the first."""
-        lines = [
-            f'{sensor}: {self._texts[sensor, reason]} ({reason}: {count}x)'
+    def findings(self) -> tuple[Finding, ...]:
+        """One for every sensor and kind of remark, with the text of the first."""
+        return tuple(
+            remarked(sensor, reason, self._texts[sensor, reason], count, self._totals[sensor])
             for (sensor, reason), count in self._counts.items()
-        ]
+        )
+
+    def notes(self) -> tuple[str, ...]:
+        """One line for every receiver that repeats itself."""
+        lines = []
         for sensor, receiver in self._receivers.items():
             if receiver.frozen:
                 lines.append(

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from rosbags.highlevel import AnyReader
 
+from incremental_mapper.checks.finding import Finding
+from incremental_mapper.checks.sensor_places import BASE_FRAME, bad_transform
 from incremental_mapper.geometry import pose_matrix
 
 STATIC_TOPIC, MOVING_TOPIC = '/tf_static', '/tf'
-BASE_FRAME = 'base_link'
-"""The car's frame (REP-105)."""
 MOST_MESSAGES = 2000
 """Messages of ``/tf`` that are looked at: 20 s at 100 Hz show what moves."""
 _STILL = 1e-6
@@ -26,11 +26,11 @@ class FrameTree:
 
     Attributes:
         edges: T_parent_child (4, 4) by parent and child.
-        notes: transforms that could not be used.
+        findings: transforms that could not be used.
     """
 
     edges: dict[tuple[str, str], NDArray[np.float64]] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
+    findings: list[Finding] = field(default_factory=list)
 
     def base(self) -> str | None:
         """Name of the car's frame: ``base_link``, or the only one that ends in ``/base_link``."""
@@ -129,7 +129,4 @@ def _add(tree: FrameTree, topic: str, edge: tuple[str, str], numbers: NDArray[np
     try:
         tree.edges[edge] = pose_matrix(numbers.tolist())
     except ValueError as error:
-        tree.notes.append(
-            f'{topic}: the transform from {edge[1]} to {edge[0]} is left out ({error}) '
-            '(bad_transform)'
-        )
+        tree.findings.append(bad_transform(topic, edge[1], edge[0], str(error)))

@@ -4,6 +4,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from incremental_mapper.checks.chosen_topics import missing_topic
+from incremental_mapper.checks.finding import Finding
+from incremental_mapper.checks.sweeps import several_frames
 from incremental_mapper.config import Config, Sensor
 from incremental_mapper.datasets.bag_files import Topic, describe_topics
 from incremental_mapper.errors import InputError
@@ -45,11 +48,12 @@ class FrameTopic(Topic):
 
 @dataclass(frozen=True, slots=True)
 class TopicChoice:
-    """Topic of every sensor that the bag has, and remarks on how they were chosen."""
+    """Topic of every sensor that the bag has, how they were chosen, and what was wrong."""
 
     topics: dict[str, Topic]
     lidars: tuple[str, ...]
     notes: tuple[str, ...]
+    findings: tuple[Finding, ...] = ()
 
 
 def choose_topics(
@@ -80,22 +84,24 @@ def choose_topics(
         for topic in topics
         if topic.type in CONVERTERS and topic.count
     ]
+    findings: list[Finding] = []
     counts = frames or {}
     single = {name: next(iter(found)) for name, found in counts.items() if len(found) == 1}
-    lidars = _lidars(path, _by_frame(topics, counts, notes), config.lidars, single, notes)
+    split = _by_frame(topics, counts, findings)
+    lidars = _lidars(path, split, config.lidars, single, notes, findings)
     chosen = dict(lidars)
     shared = [a for a in lidars if any(lidars[a] == lidars[b] for b in lidars if b != a)]
     if shared:
         raise InputError(f'{path}: LiDARs {", ".join(shared)} have the same topic')
     for name, sensor, kind in (('imu', config.imu, IMU), ('gnss', config.gnss, FIX)):
         topic = (
-            _named(path, topics, f'{name}.topic', sensor.topic, kind, notes)
+            _named(path, topics, name, f'{name}.topic', sensor.topic, kind, findings)
             if sensor.topic
             else _likeliest(topics, name, kind, notes)
         )
         if topic is not None:
             chosen[name] = topic
-    return TopicChoice(chosen, tuple(lidars), tuple(notes))
+    return TopicChoice(chosen, tuple(lidars), tuple(notes), tuple(findings))
 
 
 def find_truth_topic(topics: Sequence[Topic]) -> str | None:
@@ -105,7 +111,9 @@ def find_truth_topic(topics: Sequence[Topic]) -> str | None:
 
 
 def _by_frame(
-    topics: Sequence[Topic], frames: Mapping[str, Mapping[str, int]], notes: list[str]
+    topics: Sequence[Topic],
+    frames: Mapping[str, Mapping[str, int]],
+    findings: list[Finding],
 ) -> list[Topic]:
     """The topics, with one for each frame_id where clouds of several LiDARs come on one."""
     split: list[Topic] = []
@@ -117,11 +125,7 @@ def _by_frame(
         split.extend(
             FrameTopic(topic.name, topic.type, count, frame) for frame, count in counts.items()
         )
-        listed = ', '.join(f'{frame or "(none)"} {count}x' for frame, count in counts.items())
-        notes.append(
-            f'{topic.name}: clouds of {len(counts)} frames ({listed}); '
-            'each frame_id is a LiDAR of its own (several_frames)'
-        )
+        findings.append(several_frames(topic.name, counts))
     return split
 
 
@@ -146,13 +150,14 @@ def _lidars(
     sensors: Mapping[str, Sensor],
     frames: Mapping[str, str],
     notes: list[str],
+    findings: list[Finding],
 ) -> dict[str, Topic]:
     clouds = [topic for topic in topics if topic.type == CLOUD and topic.count]
     chosen: dict[str, Topic] = {}
     for name, sensor in sensors.items():
         if sensor.topic:
             key = f'lidars.{name}.topic'
-            named = _named(path, topics, key, sensor.topic, CLOUD, notes, name)
+            named = _named(path, topics, name, key, sensor.topic, CLOUD, findings)
             if named is not None:
                 chosen[name] = named
     free = [topic for topic in clouds if topic not in chosen.values()]
@@ -174,8 +179,8 @@ def _lidars(
         notes.append(f'LiDAR {name}: topic {_called(chosen[name])}')
     if not chosen:
         wanted = f'no cloud for the LiDARs {", ".join(sensors)}' if sensors else 'no LiDAR messages'
-        why = ('vendor_message', 'missing_topic', 'map_frame')
-        reasons = ''.join(f'{note}. ' for note in notes if any(word in note for word in why))
+        told = [note for note in notes if 'vendor_message' in note or 'map_frame' in note]
+        reasons = ''.join(f'{what}. ' for what in (*told, *(found.text for found in findings)))
         raise InputError(
             f'{path}: {wanted}; set lidars.<name>.topic to one of the PointCloud2 topics. '
             + reasons
@@ -192,13 +197,13 @@ def _called(topic: Topic) -> str:
 def _named(
     path: Path,
     topics: Sequence[Topic],
+    sensor: str,
     key: str,
     name: str,
     kind: str,
-    notes: list[str],
-    sensor: str = '',
+    findings: list[Finding],
 ) -> Topic | None:
-    """The topic that the settings name; None with a note where the bag lacks it.
+    """The topic that the settings name; None with a finding where the bag lacks it.
 
     Of a topic with several frames it is the one that has the ``sensor``'s name in it, else the one
     with the most messages.
@@ -206,11 +211,8 @@ def _named(
     # The node's topic names are relative; a bag's are absolute.
     found = [t for t in topics if t.name.lstrip('/') == name.lstrip('/')]
     if not found:
-        of_kind = ', '.join(sorted({t.name for t in topics if t.type == kind})) or 'none'
-        notes.append(
-            f'{key}: the bag has no topic {name!r}; goes on without it (missing_topic); topics of '
-            f'type {kind}: {of_kind}'
-        )
+        of_kind = sorted({t.name for t in topics if t.type == kind})
+        findings.append(missing_topic(sensor, key, name, of_kind))
         return None
     if found[0].type != kind:
         raise InputError(

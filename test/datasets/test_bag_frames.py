@@ -65,8 +65,9 @@ def sensors(count=3, lidar='lidar'):
     return events
 
 
-def notes(source, word):
-    return [note for note in source.info.notes if word in note]
+def said(source, word):
+    found = [finding.line() for finding in source.info.findings]
+    return [text for text in (*source.info.notes, *found) if word in text]
 
 
 def test_static_transforms_are_the_extrinsics_that_nobody_names(tmp_path):
@@ -82,8 +83,8 @@ def test_static_transforms_are_the_extrinsics_that_nobody_names(tmp_path):
     expected[:3, 3] = np.array([1, 0, 2]) + TURN.apply([0.5, 0, 0])
     np.testing.assert_allclose(config.lidars['points'].matrix(), expected, atol=1e-9)
     np.testing.assert_allclose(config.imu.matrix()[:3, 3], [0, 0, 1], atol=1e-9)
-    assert len(notes(source, 'from /tf_static')) == 2
-    (note,) = notes(source, 'identity_extrinsics')
+    assert len(said(source, 'from /tf_static')) == 2
+    (note,) = said(source, 'identity_extrinsics')
     assert 'gnss.T_base_sensor' in note and "'gnss'" in note
 
 
@@ -95,16 +96,16 @@ def test_what_the_settings_say_comes_first(tmp_path):
     source = open_source(bag, tree)
     config = make_config(merge(source.info.settings, tree))
     np.testing.assert_array_equal(config.lidars['roof'].matrix(), pose_matrix(pose))
-    (note,) = notes(source, 'extrinsics_differ')
+    (note,) = said(source, 'extrinsics_differ')
     assert '0.50 m and 0.0 degrees' in note
     near = {'lidars': {'names': ['roof'], 'roof': {'T_base_sensor': [1, 0, 2.05, 0, 0, 0, 1]}}}
-    assert not notes(open_source(bag, near), 'extrinsics_differ')
+    assert not said(open_source(bag, near), 'extrinsics_differ')
 
 
 def test_transforms_that_are_none_are_left_out(tmp_path):
     tf = transforms(('base_link', 'lidar', (1, 0, 2), (0, 0, 0, 0.5)))
     source = open_source(write(tmp_path / 'bag', [('/tf_static', tf), *sensors()]), {})
-    assert len(notes(source, 'bad_transform')) == 1
+    assert len(said(source, 'bad_transform')) == 1
     assert make_config(source.info.settings).lidars['points'].T_base_sensor[:3] == (0, 0, 0)
 
 
@@ -122,12 +123,12 @@ def test_of_tf_only_what_stands_still_counts(tmp_path):
     config = make_config(source.info.settings)
     assert config.lidars['points'].T_base_sensor[:3] == (1, 0, 2)
     assert config.imu.T_base_sensor[:3] == (0, 0, 0)
-    assert len(notes(source, 'from /tf,')) == 1
+    assert len(said(source, 'from /tf,')) == 1
 
 
 def test_one_sensor_alone_needs_no_extrinsics(tmp_path):
     events = [('/points', framed(CLOUD, START + i * 100 * MS, 'lidar')) for i in range(3)]
-    assert not notes(open_source(write(tmp_path / 'bag', events), {}), 'extrinsics')
+    assert not said(open_source(write(tmp_path / 'bag', events), {}), 'extrinsics')
 
 
 def turns(count, frames, shift=4.0):
@@ -147,8 +148,8 @@ def test_two_lidars_on_one_topic_are_told_apart_by_their_frames(tmp_path):
     scans = [m for m in source.measurements() if isinstance(m, LidarScan)]
     assert [scan.sensor for scan in scans[:4]] == ['front_lidar', 'rear_lidar'] * 2
     assert scans[1].points.mean() - scans[0].points.mean() == pytest.approx(4.1, abs=1e-3)
-    assert source.drops == {} and len(notes(source, 'several_frames')) == 1
-    assert not notes(source, 'two_lidars_one_frame') and len(notes(source, 'equal_ext')) == 1
+    assert source.drops == {} and len(said(source, 'several_frames')) == 1
+    assert not said(source, 'two_lidars_one_frame') and len(said(source, 'equal_ext')) == 1
     for topic in ({}, {'topic': '/lidar'}):
         tree = {'lidars': {'names': ['rear', 'front'], 'rear': topic, 'front': topic}}
         named = open_source(bag, tree)
@@ -160,7 +161,7 @@ def test_two_lidars_on_one_topic_are_told_apart_by_their_frames(tmp_path):
 @pytest.mark.parametrize(('shift', 'told'), [(4.0, 1), (0.0, 0)])
 def test_two_lidars_under_one_frame_are_told(tmp_path, shift, told):
     source = open_source(write(tmp_path / 'bag', turns(20, ['livox'], shift)), {})
-    assert len(notes(source, 'two_lidars_one_frame')) == told
+    assert len(said(source, 'two_lidars_one_frame')) == told
 
 
 @pytest.mark.parametrize('frame', ['map', '/odom', 'world'])
@@ -169,7 +170,7 @@ def test_clouds_of_a_map_are_no_lidar(tmp_path, frame):
     bag = write(tmp_path / 'bag', events)
     source = open_source(bag, {})
     assert source.info.counts == {'points': 3, 'imu': 3, 'gnss': 3}
-    assert len(notes(source, 'map_frame')) == 1
+    assert len(said(source, 'map_frame')) == 1
     tree = {'lidars': {'names': ['all'], 'all': {'topic': '/map_cloud'}}}
     assert open_source(bag, tree).info.counts['all'] == 5
 
@@ -182,8 +183,8 @@ def test_a_topic_that_is_not_there_is_a_note_where_the_rest_suffices(tmp_path):
     }
     source = open_source(bag, tree)
     assert source.info.counts == {'a': 3, 'gnss': 3}
-    assert len(notes(source, 'missing_topic')) == 2
-    (note,) = notes(source, 'imu.topic')
+    assert len(said(source, 'missing_topic')) == 2
+    (note,) = said(source, 'imu.topic')
     assert "'/nothing'" in note and note.endswith('/imu')
     del tree['lidars']['a']['topic']
     tree['lidars']['a'] = {'topic': '/neither'}
@@ -239,14 +240,14 @@ def test_whole_sweeps_and_narrow_views_are_not_parts(tmp_path):
 def test_a_lidar_that_comes_later_on_the_topic_is_noted(tmp_path):
     events = [*turns(40, ['front'], 0.0), *turns(6, ['rear'], 0.0)]
     source = open_source(write(tmp_path / 'bag', events), {})
-    assert not notes(source, 'other_frame')
+    assert not said(source, 'other_frame')
     assert len([m for m in source.measurements() if isinstance(m, LidarScan)]) == 46
-    (note,) = notes(source, 'other_frame')
-    assert "6 clouds have the frame 'rear'" in note
+    (note,) = said(source, 'other_frame')
+    assert "6 clouds have the frame_id 'rear'" in note
 
 
 def test_packets_are_named_with_what_converts_them(tmp_path):
     with pytest.raises(InputError, match=r'/velodyne_packets: .*velodyne_pointcloud'):
         open_source(vendor_bag(tmp_path / 'packets', False), {})
     source = open_source(vendor_bag(tmp_path / 'both', True), {})
-    assert len(notes(source, 'vendor_message')) == 1
+    assert len(said(source, 'vendor_message')) == 1

@@ -19,8 +19,9 @@ MANY = 200
 LONG = [(name, kind, phase, period, n * MANY) for name, kind, phase, period, n in USUAL]
 
 
-def notes(source, word) -> list[str]:
-    return [note for note in source.info.notes if word in note]
+def said(source, word) -> list[str]:
+    found = [finding.line() for finding in source.info.findings]
+    return [text for text in (*source.info.notes, *found) if word in text]
 
 
 @pytest.mark.parametrize('plugin', [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
@@ -32,14 +33,14 @@ def test_a_wrong_storage_identifier_is_told_by_the_ending(tmp_path, plugin, iden
     path.write_text(text)
     source = open_source(bag, {})
     assert count(source) == EXPECTED and source.drops == {}
-    assert len(notes(source, 'wrong_metadata')) == 1
+    assert len(said(source, 'unknown_storage')) == 1
     assert path.read_text() == text
 
 
 def test_sound_bags_have_nothing_to_mend(tmp_path):
     for plugin in (StoragePlugin.MCAP, StoragePlugin.SQLITE3):
         source = open_source(write_bag(tmp_path / plugin.name, plugin=plugin), {})
-        assert not notes(source, 'metadata') and not notes(source, '_bag')
+        assert not said(source, 'metadata') and not said(source, '_bag')
 
 
 def killed_recorder(folder: Path, tmp_path: Path) -> Path:
@@ -67,7 +68,7 @@ def test_a_database_with_its_log_is_read_from_a_copy(tmp_path, as_folder):
     assert set(before) == {'live.db3', 'live.db3-wal'}
     source = open_source(file.parent if as_folder else file, {})
     assert count(source) == EXPECTED
-    (note,) = notes(source, 'unclosed_bag')
+    (note,) = said(source, 'unclosed_bag')
     assert 'wal_checkpoint' in note
     assert {path.name: path.read_bytes() for path in file.parent.iterdir()} == before
 
@@ -84,7 +85,7 @@ def test_a_truncated_file_is_read_up_to_the_damage(tmp_path, mode, cut):
         broken.write_bytes(data[: len(data) * 3 // 4] + b'\0' * (5000 if cut == 'zeros' else 0))
     source = open_source(broken, {})
     found = count(source)
-    (note,) = notes(source, 'truncated_bag')
+    (note,) = said(source, 'truncated_bag')
     assert 'messages of' in note and 'mcap recover' in note
     if cut == 'tail':
         assert found == {sensor: n * MANY for sensor, n in EXPECTED.items()}

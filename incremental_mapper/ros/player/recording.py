@@ -47,7 +47,7 @@ class Recording:
             self._reader.close()
             raise InputError(f'{path}: its types cannot be read ({_reason(error)})') from error
         self.topics = tuple(_topic(name, info) for name, info in self._reader.topics.items())
-        self.notes = tuple(self._reader.notes)
+        self.notes = tuple(finding.line() for finding in self._reader.findings)
         self.start = self._reader.start_time
         self.end = self._reader.end_time
         """Just after the last message, ns."""

@@ -1,0 +1,108 @@
+"""Consecutive clouds of one topic: whole sweeps of one LiDAR, parts of sweeps, or two LiDARs."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from incremental_mapper.checks.finding import Finding, Severity
+from incremental_mapper.measurements import Points
+
+FEWEST_CLOUDS = 12
+"""Clouds that tell what a LiDAR sends."""
+_BINS = 72
+_PARTIAL = 0.6
+"""Share of the turn that all clouds together cover, below which single ones are partial. Whole
+sweeps have 1.0, halves 0.5."""
+_OVERLAP = 0.5
+"""Share of a cloud's directions that the next cloud of a turning LiDAR has too, at most, where each
+is a part of the sweep. A LiDAR that looks one way covers the same each time."""
+_DENSE = 3.0
+"""Points for each of the directions that a cloud covers; with fewer nothing can be told."""
+_ALTERNATE = 0.35
+"""How much more a cloud is like the one before the last than like the last, where two LiDARs take
+turns. One LiDAR has about 1.3 on a street, more on a turn."""
+_APART = 0.3
+"""Metres by which the clouds of two LiDARs differ at least, on average."""
+
+
+def partial_sweeps(clouds: Sequence[Points]) -> float | None:
+    """Tell whether each cloud is another part of the sweep.
+
+    Args:
+        clouds: Consecutive clouds of one topic and frame, (N, 3) finite points each.
+
+    Returns:
+        The share of the directions that are in one cloud, or None where clouds are whole sweeps,
+        or too few to tell.
+    """
+    if len(clouds) < FEWEST_CLOUDS or np.median([len(cloud) for cloud in clouds]) < 1:
+        return None
+    covered = np.array([_directions(cloud) for cloud in clouds])
+    sizes = covered.sum(axis=1)
+    points = np.array([len(cloud) for cloud in clouds])
+    share = float(np.median(sizes) / max(covered.any(axis=0).sum(), 1))
+    with_next = (covered[:-1] & covered[1:]).sum(axis=1) / np.maximum(sizes[:-1], 1)
+    dense = bool((points >= _DENSE * sizes).mean() > 0.5)
+    return share if share < _PARTIAL and np.median(with_next) < _OVERLAP and dense else None
+
+
+def take_turns(clouds: Sequence[Points]) -> bool:
+    """Tell whether clouds are like the one before the last, and unlike the last.
+
+    Args:
+        clouds: See ``partial_sweeps``.
+    """
+    if len(clouds) < FEWEST_CLOUDS or min(len(cloud) for cloud in clouds) < 2:
+        return False
+    kinds = np.array([[*cloud.mean(axis=0), *cloud.std(axis=0)] for cloud in clouds])
+    last = float(np.median(np.abs(kinds[1:] - kinds[:-1]).sum(axis=1)))
+    before = float(np.median(np.abs(kinds[2:] - kinds[:-2]).sum(axis=1)))
+    return last > _APART and before < _ALTERNATE * last
+
+
+def two_lidars_one_frame(lidar: str, topic: str, frame: str) -> Finding:
+    """Two kinds of clouds take turns under one frame_id: see ``take_turns``."""
+    return Finding(
+        'two_lidars_one_frame',
+        Severity.ERROR,
+        lidar,
+        f'two kinds of clouds take turns on {topic} under the one frame_id {frame!r}, as of two '
+        'LiDARs; they cannot be told apart, and the map is of both as if they were one',
+        'give each its own topic or frame_id in its driver, and record again',
+    )
+
+
+def several_frames(topic: str, counts: Mapping[str, int]) -> Finding:
+    """Clouds of one topic have several frame_ids, each of a LiDAR of its own.
+
+    Args:
+        topic: Where they come.
+        counts: Number of clouds by frame_id.
+    """
+    listed = ', '.join(f'{frame or "(none)"} {count}x' for frame, count in counts.items())
+    return Finding(
+        'several_frames',
+        Severity.MENDED,
+        topic,
+        f'clouds of {len(counts)} frames come on one topic ({listed})',
+        'each frame_id is taken for a LiDAR of its own; give each a topic',
+    )
+
+
+def other_frame(lidar: str, expected: str, frame: str, count: int) -> Finding:
+    """Clouds whose frame_id is not the one that the first had."""
+    return Finding(
+        'other_frame',
+        Severity.WARNING,
+        lidar,
+        f'{count} clouds have the frame_id {frame!r} where the first had {expected!r}: two '
+        'LiDARs on one topic, or a frame that was renamed; they are used as if nothing had changed',
+        'give each LiDAR its own topic, and record again',
+    )
+
+
+def _directions(cloud: Points) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    """Which of the directions around the LiDAR have points."""
+    azimuth = np.arctan2(cloud[:, 1], cloud[:, 0])
+    index = ((azimuth / (2.0 * np.pi) + 0.5) * _BINS).astype(int) % _BINS
+    return np.bincount(index, minlength=_BINS) > 0
