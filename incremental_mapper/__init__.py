@@ -25,7 +25,8 @@ if TYPE_CHECKING:
     )
     from incremental_mapper.mapping.load_shedding import LoadShedding
     from incremental_mapper.mapping.mapper import Mapper
-    from incremental_mapper.mapping.result import MapResult, NewestState, WindowResult
+    from incremental_mapper.mapping.newest_state import NewestState
+    from incremental_mapper.mapping.result import MapResult, WindowResult
     from incremental_mapper.measurements import (
         FixStatus,
         GnssFix,
@@ -56,7 +57,8 @@ _ROOMS = {
     'errors': ('ConfigError', 'InputError', 'MapperError', 'MeasurementError', 'OutputError'),
     'mapping.load_shedding': ('LoadShedding',),
     'mapping.mapper': ('Mapper',),
-    'mapping.result': ('MapResult', 'NewestState', 'WindowResult'),
+    'mapping.newest_state': ('NewestState',),
+    'mapping.result': ('MapResult', 'WindowResult'),
     'measurements': (
         'FixStatus',
         'GnssFix',

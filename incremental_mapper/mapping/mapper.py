@@ -22,7 +22,8 @@ from incremental_mapper.mapping.base_count import BaseCount
 from incremental_mapper.mapping.commit import NOTHING, Committed, commit
 from incremental_mapper.mapping.georeferencing import georeference
 from incremental_mapper.mapping.load_shedding import NO_SHEDDING, LoadShedding
-from incremental_mapper.mapping.result import MapResult, NewestState, WindowResult
+from incremental_mapper.mapping.newest_state import NewestState, newest_state
+from incremental_mapper.mapping.result import MapResult, WindowResult
 from incremental_mapper.mapping.statistics import MapStatistics, Totals, map_statistics, window_row
 from incremental_mapper.mapping.watch import Watch
 from incremental_mapper.mapping.window_buffer import Window, WindowBuffer, joined
@@ -188,16 +189,7 @@ class Mapper:
 
     def newest(self) -> NewestState | None:
         """Newest pose with covariance and twist, None before the first window; constant cost."""
-        cluster = self._state.frontier.newest
-        if cluster is None:
-            return None
-        inertial = self._state.has_inertial(cluster)
-        return NewestState(
-            stamp=self._state.frontier.newest_stamp,
-            pose=self._state.pose(cluster),
-            covariance=self._state.prior.covariance(pose_key(cluster)),
-            velocity=self._state.velocity(cluster) if inertial else self._state.last_velocity,
-        )
+        return newest_state(self._state, self._series, self.config)
 
     @property
     def findings(self) -> tuple[Finding, ...]:

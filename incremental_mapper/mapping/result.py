@@ -40,20 +40,6 @@ class WindowResult:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class NewestState:
-    """Pose T_map_base and velocity (3,) m/s in the map at ``stamp`` (ns).
-
-    ``covariance`` (6, 6) is in base_link and in GTSAM's order, rotation before translation; None
-    where the graph does not determine it.
-    """
-
-    stamp: int
-    pose: gtsam.Pose3
-    covariance: NDArray[np.float64] | None
-    velocity: NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class MapResult:
     """A finished run.
 

@@ -10,7 +10,8 @@ import gtsam
 from incremental_mapper.config import Config
 from incremental_mapper.mapping.load_shedding import NO_SHEDDING, LoadShedding
 from incremental_mapper.mapping.mapper import Mapper
-from incremental_mapper.mapping.result import NewestState, WindowResult
+from incremental_mapper.mapping.newest_state import NewestState
+from incremental_mapper.mapping.result import WindowResult
 from incremental_mapper.mapping.statistics import peak_rss_mb
 from incremental_mapper.measurements import Drops, Measurement
 from incremental_mapper.results.run_statistics import InputFacts

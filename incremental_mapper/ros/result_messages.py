@@ -16,7 +16,7 @@ from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Header
 
 from incremental_mapper.graph.factors import pose_numbers
-from incremental_mapper.mapping.result import NewestState
+from incremental_mapper.mapping.newest_state import NewestState
 from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.ros.live_map import PathView
 
@@ -48,7 +48,7 @@ def pose_message(numbers: Sequence[float]) -> Pose:
 
 
 def odometry_message(newest: NewestState, frame: str, child: str) -> Odometry:
-    """Pose in ``frame``, twist in ``child``; the rates of turn are not estimated."""
+    """Pose in ``frame``, twist in ``child``; what is not known has ``UNKNOWN_VARIANCE``."""
     message = Odometry(header=header(newest.stamp, frame), child_frame_id=child)
     message.pose.pose = pose_message(pose_numbers(newest.pose))
     rotation = newest.pose.rotation().matrix()
@@ -59,9 +59,13 @@ def odometry_message(newest: NewestState, frame: str, child: str) -> Odometry:
     message.pose.covariance = covariance.ravel()
     x, y, z = (float(value) for value in rotation.T @ newest.velocity)
     message.twist.twist.linear = Vector3(x=x, y=y, z=z)
-    twist = np.zeros((6, 6))
-    # The mapper keeps no marginal of the velocity, and has no rate of turn.
-    np.fill_diagonal(twist, UNKNOWN_VARIANCE)
+    twist = np.eye(6) * UNKNOWN_VARIANCE
+    if newest.velocity_covariance is not None:
+        twist[:3, :3] = newest.velocity_covariance
+    if newest.rate is not None and newest.rate_covariance is not None:
+        x, y, z = newest.rate.tolist()
+        message.twist.twist.angular = Vector3(x=x, y=y, z=z)
+        twist[3:, 3:] = newest.rate_covariance
     message.twist.covariance = twist.ravel()
     return message
 

@@ -7,7 +7,8 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from incremental_mapper.mapping.result import NewestState, WindowResult
+from incremental_mapper.mapping.newest_state import NewestState
+from incremental_mapper.mapping.result import WindowResult
 from incremental_mapper.ros.inbox import View
 from incremental_mapper.ros.live_map import GraphView, PathView
 

@@ -64,18 +64,18 @@ class MarginalPrior:
     def _moved(self, keys: tuple[int, ...], step: Array) -> gtsam.Values:
         return self.base.extract(keys).retract(layout_of(keys).vector_values(step))
 
-    def covariance(self, key: int) -> Array | None:
-        """Marginal covariance of a frontier variable.
+    def covariance(self, *keys: int) -> Array | None:
+        """Joint marginal covariance of frontier variables.
 
         Args:
-            key: One of ``keys``.
+            keys: Some of ``self.keys``.
 
         Returns:
-            Covariance (d, d) in the variable's tangent space, for poses rotation first; None where
-            it is undetermined.
+            Covariance (d, d) in the variables' tangent spaces, in the order of ``keys``, for poses
+            rotation first; None where it is undetermined.
         """
         layout = layout_of(self.keys)
-        columns = layout.columns([key])
+        columns = layout.columns(keys)
         unit = np.zeros((layout.size, len(columns)))
         unit[columns, np.arange(len(columns))] = 1.0
         solution = solve_scaled(self.root.T @ self.root, unit)

@@ -8,7 +8,7 @@ pytest.importorskip('rclpy', reason='rclpy is not installed (extra "ros")')
 
 from scipy.spatial.transform import Rotation
 
-from incremental_mapper.mapping.result import NewestState
+from incremental_mapper.mapping.newest_state import NewestState
 from incremental_mapper.ros.result_messages import odometry_message, ros_covariance
 
 SECOND = 1_000_000_000
@@ -39,3 +39,16 @@ def test_twist_is_along_the_axes_of_the_car():
     assert [linear.x, linear.y, linear.z] == pytest.approx([3.0, 0.0, 0.0])
     assert (message.header.stamp.sec, message.header.stamp.nanosec) == (7, 5)
     assert message.pose.covariance[0] >= 1e6
+
+
+def test_twist_has_its_covariance_and_what_is_unknown_says_so():
+    pose, still = gtsam.Pose3(), np.zeros(3)
+    rate = np.array([0.1, 0.2, 0.3])
+    known = NewestState(SECOND, pose, None, still, np.eye(3) * 0.04, rate, np.eye(3) * 0.01)
+    twist = odometry_message(known, 'map', 'base_link').twist
+    angular = twist.twist.angular
+    assert [angular.x, angular.y, angular.z] == pytest.approx([0.1, 0.2, 0.3])
+    diagonal = np.diag(np.array(twist.covariance).reshape(6, 6))
+    assert diagonal == pytest.approx([0.04] * 3 + [0.01] * 3)
+    unknown = odometry_message(NewestState(SECOND, pose, None, still), 'map', 'base_link').twist
+    assert np.diag(np.array(unknown.covariance).reshape(6, 6)) == pytest.approx(1e6)
