@@ -56,13 +56,22 @@ def add_parser(subparsers: Any) -> None:
         action='store_true',
         help="publish the bag's time on /clock, for nodes with use_sim_time",
     )
-    parser.add_argument(
+    waiting = parser.add_mutually_exclusive_group()
+    waiting.add_argument(
         '--wait',
         type=_not_negative,
-        default=2.0,
+        default=60.0,
         metavar='S',
-        help='seconds to wait for subscriptions before the first message (default: 2); goes on '
-        'sooner when there are some and no more come',
+        help='seconds to wait at most for subscriptions before the first message (default: '
+        '%(default)g); begins sooner when there are some and no more come, or with Space. A '
+        'mapper that has just been started is waited for',
+    )
+    waiting.add_argument(
+        '--no-wait',
+        dest='wait',
+        action='store_const',
+        const=0.0,
+        help='begin at once, whoever listens',
     )
     parser.set_defaults(func=run)
 
@@ -94,7 +103,7 @@ def run(args: argparse.Namespace) -> int:
     ):
         for note in player.notes:
             print(f'note: {note}', file=sys.stderr)
-        if not player.wait_for_subscriptions():
+        if not player.wait_for_subscriptions(lambda text: print(text, file=sys.stderr)):
             print('note: nothing has subscribed yet', file=sys.stderr)
         try:
             player.play()

@@ -1,10 +1,11 @@
 """What the user's settings say about the sensors of an input."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
-from incremental_mapper.config import Sensor
-from incremental_mapper.measurements import NANOSECONDS
+from incremental_mapper.config import Config, Sensor
+from incremental_mapper.measurements import NANOSECONDS, Measurement
 
 
 def listed_lidars(tree: Mapping[str, Any]) -> list[str] | None:
@@ -17,3 +18,19 @@ def listed_lidars(tree: Mapping[str, Any]) -> list[str] | None:
 def offset_nanoseconds(sensor: Sensor) -> int:
     """Tell what is added to every stamp of a sensor, in nanoseconds."""
     return round(sensor.time_offset * NANOSECONDS)
+
+
+def with_settings(measurement: Measurement, config: Config) -> Measurement:
+    """Put a measurement right as the settings say, where it was made without them.
+
+    Args:
+        measurement: With the stamp of its message, and its numbers.
+        config: What is added to the stamp.
+
+    Returns:
+        The measurement, itself where there is nothing to do.
+    """
+    sensors = {'imu': config.imu, 'gnss': config.gnss}
+    sensor = config.lidars.get(measurement.sensor) or sensors.get(measurement.sensor)
+    offset = 0 if sensor is None else offset_nanoseconds(sensor)
+    return replace(measurement, stamp=measurement.stamp + offset) if offset else measurement

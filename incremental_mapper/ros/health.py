@@ -1,4 +1,4 @@
-"""What /diagnostics tells: every input, the worker, the map."""
+"""What /diagnostics tells: every input, the worker, the map, and what was found wrong."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -10,6 +10,7 @@ from std_msgs.msg import Header
 from incremental_mapper.mapping.load_shedding import NO_SHEDDING
 from incremental_mapper.mapping.statistics import STAGES
 from incremental_mapper.measurements import Drops
+from incremental_mapper.ros.known_findings import KnownFindings
 from incremental_mapper.ros.result_messages import status
 from incremental_mapper.ros.subscriptions import GNSS, Inputs
 from incremental_mapper.ros.updates import WindowUpdate
@@ -30,10 +31,11 @@ MB = 1e6
 class Health:
     """Makes the diagnostics; used in the executor's thread only."""
 
-    def __init__(self, name: str, inputs: Inputs, worker: Worker) -> None:
+    def __init__(self, name: str, inputs: Inputs, worker: Worker, findings: KnownFindings) -> None:
         self._name = name
         self._inputs = inputs
         self._worker = worker
+        self._findings = findings
         self._last: WindowUpdate | None = None
 
     def window(self, update: WindowUpdate) -> None:
@@ -52,7 +54,8 @@ class Health:
             self._input(sensor, rate, behind.get(sensor), drops.get(sensor, {}))
             for sensor, rate in rates.items()
         ]
-        parts = [*inputs, self._queue(), self._map(drops)]
+        checks = self._findings.status(self._name)
+        parts = [*inputs, self._queue(), self._map(drops), checks]
         return DiagnosticArray(header=Header(stamp=stamp), status=parts)
 
     def _stats(self) -> Mapping[str, Any]:

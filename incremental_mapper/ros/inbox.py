@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import TypeAlias
 
-from incremental_mapper.config import QueueSettings
+from incremental_mapper.checks.finding import Finding
+from incremental_mapper.config import QueueSettings, Tree
 from incremental_mapper.mapping.load_shedding import NO_SHEDDING, LoadShedding
 from incremental_mapper.measurements import Drops, ImuSample, LidarScan, Measurement
 
@@ -42,7 +43,18 @@ class Command:
     ticket: int = 0
 
 
-Item: TypeAlias = Measurement | Command
+@dataclass(frozen=True, slots=True)
+class Renewal:
+    """Settings that proved right against those of the map, and why; a new map begins with them."""
+
+    settings: Tree
+    reason: str
+    findings: tuple[Finding, ...] = ()
+
+
+Word: TypeAlias = Command | Renewal
+"""What the worker is told between measurements."""
+Item: TypeAlias = Measurement | Word
 
 
 class Inbox:
@@ -59,7 +71,7 @@ class Inbox:
     def put(self, item: Item) -> None:
         """Append; where the queue is full the oldest measurement of that kind goes, counted."""
         with self._filled:
-            if not isinstance(item, Command):
+            if not isinstance(item, Word):
                 inertial = isinstance(item, ImuSample)
                 if self._counts[inertial] >= self._limits[inertial]:
                     self._drop_oldest(inertial)
@@ -80,7 +92,7 @@ class Inbox:
                 self._filled.wait()
             views, self._views = self._views, set()
             item = self._items.popleft() if self._items else None
-            if item is not None and not isinstance(item, Command):
+            if item is not None and not isinstance(item, Word):
                 self._counts[isinstance(item, ImuSample)] -= 1
             return item, views
 
@@ -90,13 +102,13 @@ class Inbox:
             self._drops[measurement.sensor, reason] += 1
 
     def clear(self, reason: str) -> None:
-        """Drop all measurements, counted under ``reason``; commands stay."""
+        """Drop all measurements, counted under ``reason``; what the worker is told stays."""
         with self._filled:
-            commands = [item for item in self._items if isinstance(item, Command)]
+            words = [item for item in self._items if isinstance(item, Word)]
             self._drops.update(
-                (item.sensor, reason) for item in self._items if not isinstance(item, Command)
+                (item.sensor, reason) for item in self._items if not isinstance(item, Word)
             )
-            self._items = deque(commands)
+            self._items = deque(words)
             self._counts = {True: 0, False: 0}
 
     def waiting(self) -> tuple[int, int]:
@@ -121,7 +133,7 @@ class Inbox:
 
     def _drop_oldest(self, inertial: bool) -> None:
         for index, item in enumerate(self._items):
-            if not isinstance(item, Command) and isinstance(item, ImuSample) == inertial:
+            if not isinstance(item, Word) and isinstance(item, ImuSample) == inertial:
                 self._drops[item.sensor, 'queue_full'] += 1
                 del self._items[index]
                 self._counts[inertial] -= 1

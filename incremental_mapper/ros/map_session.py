@@ -2,12 +2,13 @@
 
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import gtsam
 
-from incremental_mapper.config import Config
+from incremental_mapper.checks.finding import Finding, ranked
+from incremental_mapper.config import Config, Tree
 from incremental_mapper.mapping.load_shedding import NO_SHEDDING, LoadShedding
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.mapping.newest_state import NewestState
@@ -34,7 +35,9 @@ class MapSession:
     its voxels take. Any thread may read these. Whatever the libraries below raise is let through.
     """
 
-    def __init__(self, config: Config) -> None:
+    def __init__(self, config: Config, mended: Sequence[Finding] = ()) -> None:
+        """Begin a map; ``mended`` is what ``config`` puts right."""
+        self._mended = tuple(mended)
         self.limited_windows = self.scan_bytes = self.cloud_bytes = 0
         self._mapper = Mapper(config, [*config.lidars, IMU, GNSS])
         self._live = LiveMap(self._mapper)
@@ -69,21 +72,47 @@ class MapSession:
             return ViewUpdate(view, self._live.path(), stamp)
         return ViewUpdate(view, self._live.graph(graph_span), stamp)
 
-    def save(self, folder: Path, drops: Drops) -> Saved:
-        """Save the map into ``folder`` or beside it; ``drops`` is what never reached the mapper.
+    @property
+    def mend(self) -> Tree:
+        """Settings that the data proved right against those of this map; see ``Mapper.mend``."""
+        return self._mapper.mend
 
-        Raises OutputError where there is nothing to save or the folder cannot be written.
+    @property
+    def mended(self) -> tuple[Finding, ...]:
+        """The findings that ``mend`` puts right."""
+        return self._mapper.mended
+
+    def save(self, folder: Path, drops: Drops, findings: Iterable[Finding]) -> Saved:
+        """Save the map into ``folder`` or beside it.
+
+        Args:
+            folder: The folder; where it exists, another name is taken.
+            drops: What never reached the mapper.
+            findings: What was wrong with it.
+
+        Raises:
+            OutputError: There is nothing to save, or the folder cannot be written.
         """
         counts = dict(self._mapper.stats()['received'])
         facts = InputFacts('ROS topics', 'ROS topics', counts)
-        return save_map(folder, self._mapper, drops, self._wall(), facts)
+        known = (*findings, *self._mended)
+        return save_map(folder, self._mapper, drops, self._wall(), facts, known)
+
+    def taken(self, reason: str) -> Drops:
+        """Everything that the mapper took in and has not counted as dropped.
+
+        Args:
+            reason: Why it is lost.
+        """
+        stats, lost = self._mapper.stats(), Counter[tuple[str, str]]()
+        for sensor, count in stats['received'].items():
+            lost[sensor, reason] = count - sum(stats['dropped'].get(sensor, {}).values())
+        return +lost
 
     def in_no_cluster(self) -> Drops:
         """Core measurements that the mapper took in and has neither used nor counted."""
-        stats, lost = self._mapper.stats(), Counter[tuple[str, str]]()
-        for sensor, count in stats['received'].items():
-            if sensor != IMU:
-                lost[sensor, FAILED] = count - sum(stats['dropped'].get(sensor, {}).values())
+        lost = self.taken(FAILED)
+        del lost[IMU, FAILED]
         for placed in self._mapper.state.clusters:
             lost.subtract((core.sensor, FAILED) for core in placed.cluster.members)
         return +lost
@@ -104,7 +133,9 @@ class MapSession:
         scans = self._new_scans()
         self.scan_bytes += sum(scan.stored.nbytes for scan in scans)
         self.cloud_bytes = self._live.nbytes
-        return WindowUpdate(result, newest, T_odom_base, self._live.placed(scans), stats)
+        points = self._live.placed(scans)
+        findings = ranked([*self._mended, *self._mapper.findings])
+        return WindowUpdate(result, newest, T_odom_base, points, stats, findings)
 
     def _new_scans(self) -> Sequence[PlacedScan]:
         scans = self._mapper.state.scans

@@ -1,10 +1,11 @@
 """The node: subscriptions in, one worker that maps, publishers and services out."""
 
+import argparse
 import signal
 import sys
 import threading
 from collections import deque
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from itertools import count
 from typing import Any
 
@@ -22,11 +23,14 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 
+from incremental_mapper import __version__
 from incremental_mapper.errors import ConfigError, MapperError
 from incremental_mapper.mapping.load_shedding import NO_SHEDDING
 from incremental_mapper.ros.health import Health
 from incremental_mapper.ros.inbox import Command, Deadline, Order
+from incremental_mapper.ros.known_findings import KnownFindings
 from incremental_mapper.ros.parameters import NodeParameters
+from incremental_mapper.ros.programs import NODE_NAME
 from incremental_mapper.ros.publishers import Outputs
 from incremental_mapper.ros.subscriptions import Inputs
 from incremental_mapper.ros.updates import (
@@ -39,7 +43,6 @@ from incremental_mapper.ros.updates import (
 )
 from incremental_mapper.ros.worker import Worker
 
-NAME = 'incremental_mapper'
 TICK = 0.1
 """Seconds between two looks at what is due, and the longest wait for a signal."""
 ARRIVAL_LIMIT = 1.0
@@ -67,7 +70,7 @@ class MapperNode:
     ) -> None:
         self._context = context or rclpy.get_default_context()
         self.node = Node(
-            NAME,
+            NODE_NAME,
             context=self._context,
             cli_args=cli_args,
             parameter_overrides=parameter_overrides,
@@ -85,12 +88,14 @@ class MapperNode:
         self._overloaded = False
         config = self.parameters.config
         self._logger = self.node.get_logger()
+        self._findings = KnownFindings(self._logger)
         self._guard = self.node.create_guard_condition(self._on_updates)
         self._worker = Worker(config, self._take_update)
         self._inputs = Inputs(self.node, config, self._worker.inbox.put)
         self._worker.outside_drops = self._inputs.drops
         self._outputs = Outputs(self.node, self.parameters, self._worker.inbox)
-        self._health = Health(self.node.get_name(), self._inputs, self._worker)
+        self._worker.outside_findings = self._findings.lasting
+        self._health = Health(self.node.get_name(), self._inputs, self._worker, self._findings)
         self._diagnostics = self.node.create_publisher(
             DiagnosticArray, '/diagnostics', QoSProfile(depth=10)
         )
@@ -109,6 +114,8 @@ class MapperNode:
         )
         self._warn_of_extrinsics()
         self._worker.start()
+        topics = ', '.join(self._inputs.topics.values())
+        self._logger.info(f'listening on {topics}')
 
     def spin(self, stop: Callable[[], bool]) -> None:
         """Work until ``stop`` says so or the context is shut down, then finish what is open."""
@@ -143,7 +150,7 @@ class MapperNode:
         if self._context.ok():
             self._guard.trigger()
         elif isinstance(update, Trouble):
-            sys.stderr.write(f'{NAME}: {update.message}\n')
+            sys.stderr.write(f'{NODE_NAME}: {update.message}\n')
 
     def _on_updates(self) -> None:
         while self._updates:
@@ -151,12 +158,15 @@ class MapperNode:
             if isinstance(update, WindowUpdate):
                 self._outputs.window(update)
                 self._health.window(update)
+                self._findings.of_map(update.findings)
             elif isinstance(update, ViewUpdate):
                 self._outputs.view(update)
             elif isinstance(update, Restarted):
-                self._logger.warning(f'a new map begins: {update.reason}')
-                self._inputs.restart()
+                if update.reason:
+                    self._logger.warning(f'a new map begins: {update.reason}')
+                self._inputs.restart(update.config)
                 self._health.restart()
+                self._findings.of_map(update.findings, told=True)
                 self._outputs.clear()
             elif isinstance(update, Reply):
                 future = self._futures.pop(update.ticket, None)
@@ -234,18 +244,58 @@ class MapperNode:
 
 
 def main(args: list[str] | None = None) -> int:
-    """Run the node until SIGINT or SIGTERM; returns the exit status."""
+    """Run the node until SIGINT or SIGTERM.
+
+    Args:
+        args: The program and its arguments; None takes those of this process.
+
+    Returns:
+        The exit status.
+    """
+    words = sys.argv if args is None else args
+    _parser().parse_known_args(_before_ros_args(words[1:]))  # --help and --version end here
     wanted = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: wanted.set())
     try:
         _start(args).spin(wanted.is_set)
     except MapperError as error:
-        print(f'{NAME}: {error}', file=sys.stderr)
+        print(f'{NODE_NAME}: {error}', file=sys.stderr)
         return 1
     finally:
         rclpy.try_shutdown()
     return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    """What the node understands itself; all else is rclpy's."""
+    parser = argparse.ArgumentParser(
+        prog='mapper_node',
+        usage='%(prog)s [-h] [--version] [--ros-args --params-file YAML -p NAME:=VALUE ...]',
+        description='Maps LiDARs, IMU and GNSS live: a ROS 2 node that listens to '
+        'points_left and points_right (or whatever lidars.names lists), imu and fix, publishes '
+        'odometry, path, map and graph, and says "listening on ..." once it is ready.',
+        epilog='Settings are ROS parameters with the names of the settings files: '
+        '--ros-args --params-file config/kaist.yaml -p graph.lag:=5.0. Services: ~/save_map, '
+        '~/flush, ~/reset, ~/pause. Everything that is wrong is in the log and on /diagnostics.',
+        allow_abbrev=False,
+    )
+    parser.add_argument('--version', action='version', version=f'%(prog)s {__version__}')
+    return parser
+
+
+def _before_ros_args(words: Sequence[str]) -> list[str]:
+    """The arguments outside of ``--ros-args ... --``."""
+    own: list[str] = []
+    ours = True
+    for word in words:
+        if word == '--ros-args':
+            ours = False
+        elif word == '--' and not ours:
+            ours = True
+        elif ours:
+            own.append(word)
+    return own
 
 
 def _start(args: list[str] | None) -> MapperNode:

@@ -16,6 +16,8 @@ from incremental_mapper.errors import InputError
 Output: TypeAlias = IO[str] | int | None
 """Where a program's text goes: an open file, one of the constants of subprocess, or ours."""
 
+NODE_NAME = 'incremental_mapper'
+"""Name of the node that maps."""
 DOMAINS = range(1, 101)
 """Above 101 the ports may be taken by outgoing connections."""
 _FIRST_PORT, _PORTS_OF_A_DOMAIN = 7410, 250

@@ -3,6 +3,7 @@
 import shutil
 import tempfile
 import traceback
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
@@ -10,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from incremental_mapper.checks.finding import Finding
 from incremental_mapper.errors import OutputError
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.mapping.result import MapResult
@@ -20,13 +22,24 @@ from incremental_mapper.results.run_statistics import InputFacts, RunStatistics
 
 @dataclass(frozen=True, slots=True)
 class Saved:
-    """The folder that was made, and a remark where there are no pictures in it."""
+    """The folder that was made, and a remark where there are no pictures in it.
+
+    ``warnings`` are what was wrong with the map and its input, the worst first.
+    """
 
     folder: Path
     note: str | None
+    warnings: tuple[Finding, ...] = ()
 
 
-def save_map(wanted: Path, mapper: Mapper, drops: Drops, wall: float, facts: InputFacts) -> Saved:
+def save_map(
+    wanted: Path,
+    mapper: Mapper,
+    drops: Drops,
+    wall: float,
+    facts: InputFacts,
+    findings: Iterable[Finding] = (),
+) -> Saved:
     """Write the files of ``map`` while the mapper may go on afterwards.
 
     Args:
@@ -35,9 +48,10 @@ def save_map(wanted: Path, mapper: Mapper, drops: Drops, wall: float, facts: Inp
         drops: what was lost before the mapper.
         wall: seconds since the first measurement.
         facts: what stats.json says of the input.
+        findings: what was wrong with the input, before the mapper's own.
 
     Returns:
-        The folder that was made, with a remark where pictures are missing.
+        The folder that was made, with what was wrong, and a remark where pictures are missing.
 
     Raises:
         OutputError: there is nothing to save, or the folder cannot be written.
@@ -53,13 +67,15 @@ def save_map(wanted: Path, mapper: Mapper, drops: Drops, wall: float, facts: Inp
         scratch = Path(tempfile.mkdtemp(prefix=f'.{target.name}.', dir=target.parent))
         # mkdtemp makes folders that only their owner can read.
         scratch.chmod(0o755)
-        statistics = RunStatistics.of_run(result, drops, wall, len(points), facts)
+        statistics = RunStatistics.of_run(
+            result, drops, wall, len(points), facts, findings=findings
+        )
         write_result(scratch, result, points, statistics.to_tree())
         note = _draw(scratch, result, points)
         place = _free_name(target)
         scratch.rename(place)
         scratch = None
-        return Saved(place, note)
+        return Saved(place, note, statistics.warnings)
     except OSError as error:
         raise OutputError(f'{target}: cannot be written ({error.strerror or error})') from error
     finally:

@@ -30,7 +30,7 @@ class _Stream:
     """A kind of message, what makes measurements of it, and how many may wait."""
 
     kind: type
-    make: Callable[[Any, str, int], Measurement]
+    make: Callable[[Any, str], Measurement]
     depth: int
 
 
@@ -41,11 +41,10 @@ FIXES = _Stream(NavSatFix, fix_from_message, 50)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Subscribed:
-    """A sensor's stream, what is added to its stamps (ns), and its subscription."""
+    """A sensor's stream and its subscription."""
 
     name: str
     stream: _Stream
-    offset: int
     subscription: Any
 
 
@@ -56,9 +55,10 @@ Arrived: TypeAlias = tuple[_Subscribed, Any, Mapping[str, Any]]
 class Inputs:
     """All subscriptions of a node; used in the executor's thread only, ``drops`` apart.
 
-    ``hand_on`` takes the measurements in the order in which the messages reached the middleware;
-    while ``paused`` they are counted and left out. ``lost`` counts what the middleware lost on
-    the way, by the gaps in the numbers that a topic's publisher gives its messages.
+    ``hand_on`` takes the measurements in the order in which the messages reached the middleware,
+    with the stamps and numbers of their messages: the worker puts them right. While ``paused``
+    they are counted and left out. ``lost`` counts what the middleware lost on the way, by the
+    gaps in the numbers that a topic's publisher gives its messages.
     """
 
     def __init__(self, node: Node, config: Config, hand_on: Callable[[Measurement], None]) -> None:
@@ -75,11 +75,13 @@ class Inputs:
         self._numbers: dict[str, int] = {}
         self._counted: Counter[str] = Counter()
         self._since = time.monotonic()
+        self._offsets: dict[str, int] = {}
         self._subscribed: list[_Subscribed] = []
         for name, lidar in config.lidars.items():
             self._subscribe(name, lidar, f'points_{name}', CLOUDS)
         self._subscribe(IMU, config.imu, 'imu', SAMPLES)
         self._subscribe(GNSS, config.gnss, 'fix', FIXES)
+        self.restart(config)
 
     def drops(self) -> Drops:
         """What could not be used, by sensor and reason; any thread may ask."""
@@ -98,12 +100,15 @@ class Inputs:
 
     def lateness(self) -> dict[str, float]:
         """Seconds by which each sensor's newest stamp is behind the newest of all."""
-        newest = max(self._newest.values(), default=0)
-        return {name: (newest - stamp) / NANOSECONDS for name, stamp in self._newest.items()}
+        stamps = {name: stamp + self._offsets[name] for name, stamp in self._newest.items()}
+        newest = max(stamps.values(), default=0)
+        return {name: (newest - stamp) / NANOSECONDS for name, stamp in stamps.items()}
 
-    def restart(self) -> None:
-        """Forget the stamps of the map before."""
+    def restart(self, config: Config) -> None:
+        """Forget the stamps of the map before; ``config`` are the settings of the new one."""
         self._newest = {}
+        sensors = {**config.lidars, IMU: config.imu, GNSS: config.gnss}
+        self._offsets = {name: offset_nanoseconds(sensor) for name, sensor in sensors.items()}
 
     def _subscribe(self, name: str, sensor: Sensor, topic: str, stream: _Stream) -> None:
         # Best effort takes messages of reliable and of best-effort publishers.
@@ -122,7 +127,7 @@ class Inputs:
         subscription = self._node.create_subscription(
             stream.kind, sensor.topic or topic, on_message, qos, event_callbacks=events
         )
-        place = _Subscribed(name, stream, offset_nanoseconds(sensor), subscription)
+        place = _Subscribed(name, stream, subscription)
         self._subscribed.append(place)
         self.topics[name] = subscription.topic_name
 
@@ -163,7 +168,7 @@ class Inputs:
             self._drops[name, 'paused'] += 1
             return
         try:
-            measurement = place.stream.make(message, name, place.offset)
+            measurement = place.stream.make(message, name)
         except MeasurementError as error:
             if (name, error.reason) not in self._drops:
                 self._logger.warning(f'{name}: {error} (said once; /diagnostics counts)')

@@ -7,6 +7,8 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from incremental_mapper.checks.finding import Finding
+from incremental_mapper.config import Config
 from incremental_mapper.mapping.newest_state import NewestState
 from incremental_mapper.mapping.result import WindowResult
 from incremental_mapper.ros.inbox import View
@@ -18,7 +20,8 @@ class WindowUpdate:
     """A window's result.
 
     ``newest`` and ``T_odom_base`` are None where the window appended nothing; ``points`` (N, 3)
-    are its new points in the map, metres; ``stats`` the keys of stats.json so far.
+    are its new points in the map, metres; ``stats`` the keys of stats.json so far; ``findings``
+    everything that was found wrong with this map so far.
     """
 
     result: WindowResult
@@ -26,6 +29,7 @@ class WindowUpdate:
     T_odom_base: gtsam.Pose3 | None
     points: NDArray[np.float64]
     stats: dict[str, Any]
+    findings: tuple[Finding, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,9 +52,15 @@ class Reply:
 
 @dataclass(frozen=True, slots=True)
 class Restarted:
-    """The map begins anew; what was published of the old one no longer holds."""
+    """The map begins anew; what was published of the old one no longer holds.
+
+    ``config`` are the settings from now on; ``findings`` are what they put right. There is no
+    reason where the old one held nothing.
+    """
 
     reason: str
+    config: Config
+    findings: tuple[Finding, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

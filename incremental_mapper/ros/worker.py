@@ -7,19 +7,27 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
+from incremental_mapper.checks.finding import Finding, Severity, ranked
 from incremental_mapper.config import Config
+from incremental_mapper.datasets.sensor_settings import with_settings
 from incremental_mapper.errors import MapperError
 from incremental_mapper.measurements import Drops, Measurement
-from incremental_mapper.ros.inbox import Command, Deadline, Inbox, Order
+from incremental_mapper.results.offline_run import MOST_MENDS
+from incremental_mapper.ros.beginning import Beginning
+from incremental_mapper.ros.inbox import Command, Deadline, Inbox, Order, Renewal
 from incremental_mapper.ros.map_session import FAILED, MapSession
+from incremental_mapper.ros.saving import Saved
 from incremental_mapper.ros.time_jumps import JumpFilter
 from incremental_mapper.ros.updates import Reply, Restarted, Trouble, Update, WindowUpdate
+from incremental_mapper.settings import make_config, merge, to_tree
 
 SHUTDOWN = 'shutdown'
 """Why a measurement was lost that waited when the time to stop was over."""
 RETRY = 5.0
 """Seconds between two attempts to begin a map where the last one failed."""
 NO_MAP = 'there is no map: none could be begun; the log says why'
+MENDED = 'before_mend'
+"""Why a measurement was lost that a map held whose settings proved wrong."""
 
 
 class Worker:
@@ -30,6 +38,10 @@ class Worker:
     measurements are counted as lost, orders are answered, and it tries again. Only the first map
     must be possible: what the constructor raises is let through.
 
+    Measurements come as their messages are, and are put right by ``config`` here: where the data
+    prove a setting wrong, a new map begins with what they prove right, from its first measurement
+    on if that is not long ago. That happens ``MOST_MENDS`` times.
+
     Any thread may read ``failures`` and the figures of the map.
     """
 
@@ -38,6 +50,7 @@ class Worker:
         self.inbox = Inbox(config.queue)
         self.jumps = JumpFilter(config.time_jump)
         self.outside_drops: Callable[[], Drops] = Drops
+        self.outside_findings: Callable[[], tuple[Finding, ...]] = tuple
         self.graph_span = config.graph.markers_span
         self.failures = 0
         self._lost: Drops = Counter()
@@ -45,6 +58,9 @@ class Worker:
         self._thread = threading.Thread(target=self._run, name='mapper', daemon=True)
         self._deadline: Deadline | None = None
         self._retry = Deadline(0.0)
+        self._beginning = Beginning()
+        self._mends = 0
+        self._known: tuple[Finding, ...] = ()  # what the settings put right by now
         self._session: MapSession | None = MapSession(config)
 
     def start(self) -> None:
@@ -102,7 +118,7 @@ class Worker:
     def _serve(self) -> bool:
         """Wait for work and do it; returns whether more may come."""
         item, views = self.inbox.take()
-        with self._mended():
+        with self._guarded():
             for view in sorted(views):
                 if self._session is not None:
                     self._emit(self._session.view(view, self.graph_span))
@@ -111,9 +127,11 @@ class Worker:
                 self._finish()
                 return False
             reply = Reply(item.ticket, False, 'the mapper failed; the log says how')
-            with self._mended():
+            with self._guarded():
                 reply = self._obey(item)
             self._emit(reply)
+        elif isinstance(item, Renewal):
+            self._renew(item)
         elif item is not None and self._too_late():
             self.inbox.count(item, SHUTDOWN)
             self.inbox.clear(SHUTDOWN)
@@ -122,7 +140,7 @@ class Worker:
         return True
 
     @contextlib.contextmanager
-    def _mended(self) -> Iterator[None]:
+    def _guarded(self) -> Iterator[None]:
         """Where the block raises, tell of it and begin a new map."""
         try:
             yield
@@ -145,11 +163,12 @@ class Worker:
         """Leave the map for a new one; returns why there is none, if so."""
         before, self._session = self._session, None
         if before is not None:
-            self._emit(Restarted(reason))
+            self._emit(Restarted(reason, self.config, self._known))
+        self._beginning = Beginning()
         try:
             if before is not None:
                 before.close()
-            self._session = MapSession(self.config)
+            self._session = MapSession(self.config, self._known)
         except Exception as error:
             self.failures += 1
             self._retry = Deadline(RETRY)
@@ -163,15 +182,53 @@ class Worker:
     def _too_late(self) -> bool:
         return self._deadline is not None and self._deadline.passed()
 
-    def _take_in(self, measurement: Measurement) -> None:
+    def _renew(self, renewal: Renewal) -> None:
+        """Begin a new map with other settings, and map again what is still at hand."""
+        try:
+            tree = merge(to_tree(self.config), renewal.settings)
+            self.config = make_config(tree, 'proved settings')
+        except MapperError as error:
+            self._emit(Trouble(f'{renewal.reason}; the settings stay: {error}'))
+            return
+        self._known = ranked([*self._known, *renewal.findings])
+        again = self._beginning.whole()
+        if again is None and self._session is not None:
+            with self._guarded():
+                self._lost = self._lost + self._session.taken(MENDED)
+        self.jumps.restart()
+        if self._session is None:
+            self._emit(Restarted('', self.config, self._known))
+        # Before its first measurement nobody need know that there was another map.
+        self._begin('' if again == () else renewal.reason)
+        for measurement in again or ():
+            if self._too_late():
+                self.inbox.count(measurement, SHUTDOWN)
+            else:
+                self._take_in(measurement)
+
+    def _mend(self) -> None:
+        """Begin anew where the map's data prove a setting wrong."""
+        session = self._session
+        if session is None or not session.mend or self._mends >= MOST_MENDS:
+            return
+        self._mends += 1
+        reason = '; '.join(finding.line() for finding in session.mended)
+        self._renew(Renewal(session.mend, reason, session.mended))
+
+    def _take_in(self, raw: Measurement) -> None:
+        measurement = with_settings(raw, self.config)
         passed = self.jumps.check(measurement)
         if passed.jumped:
-            with self._mended():
+            with self._guarded():
                 self._drain()
                 self._save_quietly()
                 self._begin('stamps jumped backwards')
+        if passed.jumped:
+            self._beginning.forget()  # the witnesses of the jump came before
+        self._beginning.add(raw)
         for item in passed.measurements:
             self._map(item)
+        self._mend()
 
     def _map(self, measurement: Measurement) -> None:
         if self._session is None and self._retry.passed():
@@ -179,7 +236,7 @@ class Worker:
         if self._session is None:
             self._lost = self._lost + Counter({(measurement.sensor, FAILED): 1})
             return
-        with self._mended():
+        with self._guarded():
             self._tell(self._session.advance(measurement, self.inbox.shedding()))
 
     def _drain(self) -> int:
@@ -211,14 +268,21 @@ class Worker:
         if command.order is Order.FLUSH:
             return Reply(command.ticket, True, f'{self._drain()} windows closed')
         try:
-            place = self._save(self._session, Path(self.config.save.folder))
+            return self._told(command, self._save(self._session, Path(self.config.save.folder)))
         except MapperError as error:
             return Reply(command.ticket, False, str(error))
         # A folder that could not be written is no reason to lose the map.
         except Exception:
             self._emit(Trouble(f'saving failed:\n{traceback.format_exc()}'))
             return Reply(command.ticket, False, 'saving failed; the log says how')
-        return Reply(command.ticket, True, f'saved to {place}')
+
+    @staticmethod
+    def _told(command: Command, saved: Saved) -> Reply:
+        """The answer to who wants a map saved: no success where it is not to be trusted."""
+        worst = saved.warnings[:1]
+        failed = any(finding.severity is Severity.ERROR for finding in worst)
+        remark = ''.join(f'; {finding.titled()}' for finding in worst) if failed else ''
+        return Reply(command.ticket, not failed, f'saved to {saved.folder}{remark}')
 
     def _save_quietly(self) -> None:
         """Save where the settings want a map saved that ends; whatever fails is told."""
@@ -226,7 +290,7 @@ class Worker:
         if not folder or self._session is None:
             return
         try:
-            place = self._save(self._session, Path(folder))
+            place = self._save(self._session, Path(folder)).folder
         except MapperError as error:
             self._emit(Trouble(str(error)))
         # As in _fail, or where the folder's pictures cannot be drawn.
@@ -235,8 +299,8 @@ class Worker:
         else:
             self._emit(Trouble(f'saved to {place}'))
 
-    def _save(self, session: MapSession, folder: Path) -> Path:
-        saved = session.save(folder, self.drops())
+    def _save(self, session: MapSession, folder: Path) -> Saved:
+        saved = session.save(folder, self.drops(), self.outside_findings())
         if saved.note is not None:
             self._emit(Trouble(saved.note))
-        return saved.folder
+        return saved

@@ -144,7 +144,8 @@ def test_late_joiner_gets_the_latched_map_and_path(session):
 
 def test_diagnostics_tell_of_every_part(session):
     found = session.diagnostics()
-    assert found.keys() == {'left', 'right', 'imu', 'gnss', 'worker', 'map'}
+    assert found.keys() == {'left', 'right', 'imu', 'gnss', 'worker', 'map', 'checks'}
+    assert found['checks'] == {}
     assert found['map']['fixes_received'] == found['map']['fixes_used'] == 3
     assert found['imu']['received'] == 251 and found['imu']['dropped'] == {}
     assert found['worker']['queue_core'] == 0 and found['worker']['merged_windows'] == 0

@@ -23,6 +23,11 @@ needs_ros = pytest.mark.skipif(
 )
 
 
+def without_waiting(err):
+    """What a program says but for whom it waits, which depends on how busy the machine is."""
+    return ''.join(line for line in err.splitlines(True) if not line.startswith('waits '))
+
+
 @pytest.fixture
 def domain(monkeypatch):
     from player_listener import own_domain
@@ -110,7 +115,7 @@ def test_plays_and_ends(start, bag, listener):
     process = start(bag, '--wait', 20)
     out, err = process.communicate(timeout=60)
     assert process.returncode == 0, err
-    assert err == ''
+    assert without_waiting(err) == ''
     assert out.startswith(f'{bag}: 11 messages; on average ')
     listener.wait_for({'/imu': 11})
 
@@ -145,7 +150,7 @@ def test_loop_until_it_is_stopped(start, bag, listener, number, status, said):
     process.send_signal(number)
     out, err = process.communicate(timeout=20)
     assert process.returncode == status
-    assert err == said
+    assert without_waiting(err) == said
     assert 'rounds' in out
 
 
@@ -157,7 +162,7 @@ def test_ctrl_c_while_waiting(start, tmp_path, domain):
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=20)
     assert process.returncode == 130
-    assert err == 'incremental_mapper: interrupted\n'
+    assert without_waiting(err) == 'incremental_mapper: interrupted\n'
 
 
 @needs_ros

@@ -11,14 +11,17 @@ import pytest
 
 pytest.importorskip('rclpy', reason='rclpy is not installed (extra "ros")')
 
+from incremental_mapper.checks.finding import Finding, Severity
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.mapping.mapper import Mapper
+from incremental_mapper.mapping.watch import Watch
 from incremental_mapper.results.offline_run import effective_config
+from incremental_mapper.ros import beginning
 from incremental_mapper.ros import worker as worker_module
-from incremental_mapper.ros.inbox import Command, Order, View
+from incremental_mapper.ros.inbox import Command, Order, Renewal, View
 from incremental_mapper.ros.updates import Reply, Restarted, Trouble, ViewUpdate, WindowUpdate
 from incremental_mapper.ros.worker import Worker
-from incremental_mapper.settings import merge
+from incremental_mapper.settings import merge, to_tree
 
 QUICK = {'selection': {'strategy': 'min_time_shift'}, 'odometry': {'method': 'gicp'}}
 
@@ -277,3 +280,110 @@ def test_map_that_cannot_be_saved_at_the_end_is_told_and_the_worker_ends(start, 
     run.stop()
     assert 'the map cannot be read back' in troubles(run)
     assert not (tmp_path / 'last').exists()
+
+
+GRAVITY = Finding(
+    'imu_in_g', Severity.MENDED, 'imu', 'too weak', settings={'preintegration': {'gravity': 9.7}}
+)
+CLOCK = Finding('clock', Severity.MENDED, 'gnss', 'late', settings={'gnss': {'time_offset': 0.05}})
+
+
+@pytest.fixture
+def rule(monkeypatch):
+    """Let a map's watch find something with its measurement of a number."""
+
+    def install(number, *findings):
+        def measurement(watch, item):
+            watch.seen = getattr(watch, 'seen', 0) + 1
+            for finding in findings:
+                (section,) = finding.settings
+                (name,) = finding.settings[section]
+                found = to_tree(watch._config)[section][name]
+                if watch.seen == number and found != finding.settings[section][name]:
+                    watch.add(finding)
+
+        monkeypatch.setattr(Watch, 'measurement', measurement)
+
+    return install
+
+
+def test_settings_that_proved_wrong_are_mended_and_nothing_is_lost(start, rule, tmp_path):
+    rule(100, GRAVITY)
+    run = start()
+    run.feed(run.measurements)
+    assert run.order(Order.FLUSH)[0] and run.order(Order.SAVE)[0]
+    (restarted,) = run.of(Restarted)
+    assert 'imu_in_g' in restarted.reason and restarted.findings == (GRAVITY,)
+    assert (
+        run.worker.config.preintegration.gravity == restarted.config.preintegration.gravity == 9.7
+    )
+    stats = json.loads((tmp_path / 'saved' / 'stats.json').read_text())
+    assert stats['dropped'] == {}
+    assert stats['received'] == dict(Counter(item.sensor for item in run.measurements))
+    assert [item['rule'] for item in stats['warnings']] == ['imu_in_g']
+    assert stats['settings']['preintegration']['gravity'] == 9.7
+    assert run.of(WindowUpdate)[-1].findings == (GRAVITY,)
+
+
+def test_stamps_of_all_measurements_follow_a_mended_clock(start, rule, tmp_path):
+    rule(150, CLOCK)
+    run = start()
+    run.feed(run.measurements)
+    assert run.order(Order.FLUSH)[0] and run.order(Order.SAVE)[0]
+    graph = json.loads((tmp_path / 'saved' / 'graph.json').read_text())
+    members = [item for cluster in graph['clusters'] for item in cluster['members']]
+    found = sorted(item['stamp_ns'] for item in members if item['sensor'] == 'gnss')
+    fixes = [item.stamp for item in run.measurements if item.sensor == 'gnss']
+    assert found == [stamp + 50_000_000 for stamp in fixes]
+
+
+def test_measurements_of_a_map_that_is_too_long_to_be_made_again_are_counted(
+    start, rule, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(beginning, 'MOST_SECONDS', 0.2)
+    rule(100, GRAVITY)
+    run = start()
+    run.feed(run.measurements)
+    assert run.order(Order.FLUSH)[0] and run.order(Order.SAVE)[0]
+    stats = json.loads((tmp_path / 'saved' / 'stats.json').read_text())
+    lost = sum(reasons['before_mend'] for reasons in stats['dropped'].values())
+    assert lost == 100 and sum(stats['received'].values()) == len(run.measurements) - 100
+
+
+def test_a_map_is_not_mended_for_ever(start, monkeypatch):
+    def measurement(watch, item):
+        gravity = watch._config.preintegration.gravity
+        settings = {'preintegration': {'gravity': gravity + 0.001}}
+        watch.add(Finding('never_content', Severity.MENDED, 'imu', 'again', settings=settings))
+
+    monkeypatch.setattr(Watch, 'measurement', measurement)
+    run = start()
+    run.feed(run.measurements)
+    assert run.order(Order.FLUSH)[0]
+    assert len(run.of(Restarted)) == 3
+    assert run.of(WindowUpdate)[-1].stats['vertices'] > 10
+
+
+def test_settings_that_come_before_the_first_measurement_are_no_restart(start):
+    run = start()
+    settings = {'gnss': {'T_base_sensor': [0.0, 0.0, 2.0, 0.0, 0.0, 0.0, 1.0]}}
+    run.worker.inbox.put(Renewal(settings, 'found'))
+    run.feed(run.measurements)
+    assert run.order(Order.FLUSH)[0]
+    assert [item.reason for item in run.of(Restarted)] == ['']
+    assert run.worker.config.gnss.T_base_sensor[2] == 2.0
+    assert run.of(WindowUpdate)[0].result.index == 0
+
+
+def test_a_map_with_an_error_is_saved_but_no_success(start, monkeypatch, tmp_path):
+    error = Finding('no_usable_scan', Severity.ERROR, 'left', 'no scan could be used', 'look')
+    run = start()
+    run.worker.outside_findings = lambda: (error,)
+    run.feed(run.measurements)
+    assert run.order(Order.FLUSH)[0]
+    assert run.order(Order.SAVE) == (
+        False,
+        f'saved to {tmp_path / "saved"}; error: left: no scan could be used (no_usable_scan); look',
+    )
+    stats = json.loads((tmp_path / 'saved' / 'stats.json').read_text())
+    assert stats['warnings'][0]['severity'] == 'error'

@@ -2,7 +2,7 @@
 
 import importlib
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +23,7 @@ from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.ros.player.pace import Pace
 from incremental_mapper.ros.player.read_ahead import read_ahead
 from incremental_mapper.ros.player.recording import RecordedTopic, Recording
+from incremental_mapper.ros.player.subscribers import Subscribers
 
 NODE_NAME = 'incremental_mapper_player'
 CLOCK_TOPIC = '/clock'
@@ -31,10 +32,6 @@ _CLOCK_PERIOD = 0.01
 """Seconds between two messages on /clock."""
 _LOOK = 0.05
 """Seconds between two looks at the keyboard."""
-_SETTLED = 0.5
-"""Seconds without a new subscription after which no more are expected."""
-_FOUND = 0.2
-"""Seconds that discovery has for the other way round."""
 _ROUND_GAP = 0.1
 """Seconds between two rounds of a loop; keeps a bag of one message from flooding."""
 _AHEAD = 50
@@ -67,7 +64,7 @@ class PlayOptions:
     duration: float | None = None
     topics: tuple[str, ...] = ()
     clock: bool = False
-    wait: float = 2.0
+    wait: float = 60.0
 
 
 class Controls(Protocol):
@@ -171,24 +168,21 @@ class Player:
         if not self._publishers:
             reasons = '; '.join(self.notes) or describe_topics(recording.topics)
             raise InputError(f'{recording.path}: has nothing to play. {reasons}')
+        types = {topic.name: topic.type for topic in recording.topics}
+        self._subscribers = Subscribers(node, self._publishers, types)
         self._first = self._first_stamp()
         self._clock = _Clock(node) if options.clock else None
 
-    def wait_for_subscriptions(self) -> bool:
-        """Wait until every topic has a subscription or no more come; False where there is none."""
-        begin = changed = time.monotonic()
-        before = 0
-        while (now := time.monotonic()) - begin < self._options.wait:
-            counts = [p.get_subscription_count() for p in self._publishers.values()]
-            if sum(counts) != before:
-                before, changed = sum(counts), now
-            # A subscription that was found here has not always found the publisher yet.
-            if all(counts) and now - changed >= _FOUND:
-                return True
-            if before and now - changed >= _SETTLED:
-                return True
-            self._controls.wait(_LOOK)
-        return before > 0
+    def wait_for_subscriptions(self, tell: Callable[[str], object] = lambda text: None) -> bool:
+        """Wait until those who are to hear it have subscribed; see ``Subscribers.wait``.
+
+        Args:
+            tell: Is told what is waited for, if it takes long.
+
+        Returns:
+            False where nobody has subscribed.
+        """
+        return self._subscribers.wait(self._options.wait, self._controls.wait, tell)
 
     def play(self) -> None:
         """Play once, or again and again; raises InputError where the bag is damaged."""
