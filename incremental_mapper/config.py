@@ -71,6 +71,24 @@ class Sensor(Section):
         return pose_matrix(self.T_base_sensor)
 
 
+class Imu(Sensor):
+    """The IMU: as any sensor, with what its messages' numbers are to be multiplied by."""
+
+    enabled: bool = True
+    """Use the IMU."""
+    acceleration_scale: float = Field(default=1.0, ge=-1e6, le=1e6, allow_inf_nan=False)
+    """Factor that makes m/s^2, upwards at rest, of the accelerations: 9.80665 where they are in g,
+    0.00980665 in milli-g, -1 where gravity has the wrong sign."""
+    rate_scale: float = Field(default=1.0, gt=0.0, le=1e6, allow_inf_nan=False)
+    """Factor that makes rad/s of the angular rates: 0.0174533 where they are in deg/s."""
+
+    @model_validator(mode='after')
+    def _check_scale(self) -> Self:
+        if self.acceleration_scale == 0.0:
+            raise ValueError('acceleration_scale is 0; enabled: false leaves the IMU out')
+        return self
+
+
 class WindowSettings(Section):
     """How measurements are gathered."""
 
@@ -125,7 +143,7 @@ class ImuSettings(Section):
     """Noise of the IMU as continuous densities, and how spans are integrated."""
 
     gravity: float = Field(default=9.81, ge=0.0, le=30.0)
-    """Magnitude of gravity in m/s^2."""
+    """Magnitude of gravity in m/s^2; 0 where the IMU's accelerations are without it."""
     accelerometer_noise: Sigma = 0.02
     """m/s^2/sqrt(Hz)."""
     gyroscope_noise: Sigma = 0.001
@@ -350,7 +368,7 @@ class Config(Section):
 
     lidars: Lidars = Field(default_factory=dict)
     """LiDARs by name; in YAML ``names`` lists them and each has a section of its own."""
-    imu: Sensor = Sensor()
+    imu: Imu = Imu()
     """The IMU."""
     gnss: Sensor = Sensor()
     """The GNSS antenna; its translation is the lever arm."""

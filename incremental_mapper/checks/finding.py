@@ -31,7 +31,10 @@ class Finding:
         text: What is wrong: what, where, and the value.
         remedy: The line to write, the command to call, or what was done.
         settings: What puts it right, as a tree of settings; empty where settings cannot. Of a
-            ``MENDED`` finding it is in force; of a ``WARNING`` it is a proposal.
+            ``MENDED`` finding it is in force; of a ``WARNING`` it is a proposal, unless it is
+            ``in_force``.
+        in_force: Whether the run goes by ``settings`` though they do not put it right, such as
+            without the sensor.
     """
 
     rule: str
@@ -40,6 +43,12 @@ class Finding:
     text: str
     remedy: str = ''
     settings: dict[str, Any] = field(default_factory=dict, compare=False)
+    in_force: bool = False
+
+    @property
+    def changes(self) -> bool:
+        """Whether a run goes by ``settings`` because of it."""
+        return bool(self.settings) and (self.severity is Severity.MENDED or self.in_force)
 
     def line(self) -> str:
         """The finding in one line, as the terminal and the log show it."""

@@ -21,6 +21,7 @@ from incremental_mapper.map.store import make_store
 from incremental_mapper.mapping.base_count import BaseCount
 from incremental_mapper.mapping.commit import NOTHING, Committed, commit
 from incremental_mapper.mapping.georeferencing import georeference
+from incremental_mapper.mapping.imu_intake import ImuIntake
 from incremental_mapper.mapping.load_shedding import NO_SHEDDING, LoadShedding
 from incremental_mapper.mapping.newest_state import NewestState, newest_state
 from incremental_mapper.mapping.result import MapResult, WindowResult
@@ -73,7 +74,9 @@ class Mapper:
         """
         self.config = config
         self._strategy = find_strategy(config.selection.strategy)
-        self._buffer = WindowBuffer(config.window, sensors)
+        self._imu = ImuIntake(config.imu, config.preintegration.gravity)
+        awaited = [name for name in sensors if name != 'imu' or config.imu.enabled]
+        self._buffer = WindowBuffer(config.window, awaited)
         # Closed, and waiting for their scans or to be merged with the next.
         self._held: list[tuple[Window, Preparation]] = []
         self._shedding = NO_SHEDDING
@@ -126,7 +129,9 @@ class Mapper:
         """
         self._totals.received[measurement.sensor] += 1
         self._watch.measurement(measurement)
-        self._buffer.push(measurement)
+        taken = self._imu.take(measurement) if isinstance(measurement, ImuSample) else measurement
+        if taken is not None:
+            self._buffer.push(taken)
         self._shedding = shedding
         self._hold(self._buffer.pop_ready())
         while self._may_run(shedding.windows):
@@ -152,6 +157,7 @@ class Mapper:
         if self._carried:
             last = self._carried[-1].core.stamp
             yield self._window([], _Frame(last, last + 1, 0, {}), force=True)
+        self._watch.end()
 
     def finish(self) -> MapResult:
         """Run what is left and return the whole map."""
@@ -218,7 +224,7 @@ class Mapper:
             self._state,
             self._base,
             self._totals,
-            drops=self._buffer.drops + self._front_end.drops + self._failed,
+            drops=self._buffer.drops + self._front_end.drops + self._failed + self._imu.drops,
             notes=self._front_end.notes,
             late=self._buffer.late,
             unused=[item.core for item in self._carried],
@@ -264,6 +270,7 @@ class Mapper:
             self._keep_orientation(sample)
         self._series = self._series.joined(window.imu)
         prepared = [item for part in begun for item in self._front_end.collect(part)]
+        self._watch.prepared(prepared)
         spent = time.perf_counter() - started + sum(part.seconds for part in begun)
         seconds = {'front_end': spent}
         frame = _Frame(window.start, window.end, len(window.imu), seconds)

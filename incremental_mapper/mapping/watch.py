@@ -1,8 +1,12 @@
 """Watches the measurements and the map while it is made, and asks the rules of ``checks``."""
 
-from incremental_mapper.checks.finding import Finding, Severity, ranked
+from collections.abc import Sequence
+
+from incremental_mapper.checks.finding import Finding, ranked
 from incremental_mapper.config import Config, Tree
-from incremental_mapper.measurements import Measurement
+from incremental_mapper.frontend.front_end import Prepared
+from incremental_mapper.mapping.imu_watch import ImuWatch
+from incremental_mapper.measurements import ImuSample, Measurement
 from incremental_mapper.settings import merge
 
 
@@ -17,14 +21,28 @@ class Watch:
         self._config = config
         self._findings: list[Finding] = []
         self.mend: Tree = {}
+        self._imu = ImuWatch(config)
 
     def measurement(self, measurement: Measurement) -> None:
         """Look at a measurement as it comes in."""
+        if isinstance(measurement, ImuSample):
+            for finding in self._imu.sample(measurement):
+                self.add(finding)
+
+    def prepared(self, prepared: Sequence[Prepared]) -> None:
+        """Look at what the front end made of a window's core measurements."""
+        for finding in self._imu.matches(prepared):
+            self.add(finding)
+
+    def end(self) -> None:
+        """Decide what waits for more measurements: none will come."""
+        for finding in self._imu.end():
+            self.add(finding)
 
     def add(self, finding: Finding) -> None:
-        """Keep a finding; what a mended one puts right is asked of who runs the mapper."""
+        """Keep a finding; what one changes is asked of who runs the mapper."""
         self._findings.append(finding)
-        if finding.severity is Severity.MENDED and finding.settings:
+        if finding.changes:
             self.mend = merge(self.mend, finding.settings)
 
     def findings(self) -> tuple[Finding, ...]:
@@ -32,8 +50,8 @@ class Watch:
         return ranked(self._findings)
 
     def mended(self) -> tuple[Finding, ...]:
-        """The findings that ``mend`` puts right."""
-        return ranked(found for found in self._findings if found.severity is Severity.MENDED)
+        """The findings that ``mend`` follows from."""
+        return ranked(found for found in self._findings if found.changes)
 
     def final(self) -> tuple[Finding, ...]:
         """The same with what only a whole map shows, as if it ended here."""

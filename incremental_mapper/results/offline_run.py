@@ -278,6 +278,8 @@ def _map_once(
                 interrupted = True
                 break
         tell(mapper.flush())
+        if may_mend and mapper.mend:
+            raise MendError(mapper.mend, mapper.mended)
         result = mapper.result()
     if not result.clusters:
         if interrupted:

@@ -191,7 +191,7 @@ def _first_state(
         R_enu_base = gtsam.Rot3.Quaternion(w, x, y, z).compose(gtsam.Rot3(R_base_imu.T))
         yaw = float(R_enu_base.yaw())
     rotation = gtsam.Rot3.Yaw(yaw)
-    if len(series.stamps):
+    if len(series.stamps) and config.preintegration.gravity > 0.0:
         rotation = level_rotation(R_base_imu @ series.acceleration.mean(axis=0), yaw)
     return State(
         stamp, gtsam.Pose3(rotation, np.zeros(3)), np.zeros(3), gtsam.imuBias.ConstantBias()

@@ -1,0 +1,240 @@
+"""Rules for an IMU beside scan matching: the unit of its rates, its clock, how its axes stand."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from incremental_mapper.checks.finding import Finding, Severity
+from incremental_mapper.checks.imu_motion import (
+    MAX_LAG,
+    Agreement,
+    Axes,
+    Comparison,
+    MotionEvidence,
+    compare_axes,
+)
+from incremental_mapper.config import Imu
+from incremental_mapper.measurements import NANOSECONDS
+
+CERTAIN = 40.0
+"""Logarithm of a likelihood ratio above which the rotations belong together. Drives here that move
+have 59 to 2800 over 5 to 60 s, one that stands 11 at the best of 800 lags."""
+RATE_UNITS = {float(np.pi / 180.0): 'deg/s', float(180.0 / np.pi): 'rad/s divided by 57.3'}
+"""What makes rad/s of other units."""
+NEAR_UNIT = 2.5
+"""Factor by which the fitted scale may be off a unit's: with 5 s of a straight drive, where little
+more than bumps turns the car, it is 0.57 to 1.18 times the true one."""
+EXACT = 0.1
+"""Largest relative deviation of a scale that is none of a unit's, to be believed."""
+TOO_MUCH = 12.0
+"""A gyroscope that turns so many times as much as the scans is wrong; 0.8 to 2 on all drives here,
+50 in deg/s."""
+MOVING = 0.001
+"""rad; root mean square of the matches' rotations above which the car moves: 0.0003 while it
+stands, 0.0015 on straight drives."""
+TURNING = 0.008
+"""rad; root mean square of the matches' rotations that a gyroscope cannot miss: mixed drives here
+have 0.0095 to 0.029 with likelihoods above 1100, drives straight on at most 0.0038."""
+MANY = 40
+"""Matches after which a gyroscope that has missed them all is given up."""
+LAG = 0.03
+"""Seconds by which the clocks may differ, on top of half a sweep: where clouds have no point times
+the stamp may be that of either end. On the drives here the lag is 0.045 to 0.065 s without point
+times (half a sweep is 0.05 s) and -0.015 to -0.025 s with them."""
+CLOCK_GAIN = 30.0
+"""Logarithm of the likelihood ratio that a lag needs beside none: 47 and more for 0.1 s."""
+AXES_GAIN, AXES_LEAD = 30.0, 15.0
+"""The same for axes that stand otherwise, and for their lead before the next best way. Right
+extrinsics lose 0 to 0.8 on all drives here; after 5 s a quarter turn about any axis has a gain of
+38 and more, and a lead of 25 and more; a car that stands has a lead of 0.4."""
+TILTED = 20.0
+"""Degrees by which the axes may be off; fits of 5 s are 2 to 13 degrees off where much is known."""
+PATIENCE = 20.0
+"""Seconds of matches after which an IMU whose axes contradict gravity is given up."""
+
+
+def check_motion(
+    evidence: MotionEvidence, settings: Imu, last: bool = False
+) -> tuple[Finding, ...]:
+    """Hold the IMU's rotation and accelerations against those of scan matching.
+
+    Args:
+        evidence: Matches and samples, with ``settings`` applied to these.
+        settings: Those of the IMU.
+        last: Whether nothing more will come, so that what is not certain is not waited for.
+
+    Returns:
+        What is wrong; empty where nothing is, or where too little turned.
+    """
+    frozen = _frozen_gyro(evidence)
+    if frozen is not None:
+        return (frozen,)
+    comparison = Comparison(evidence)
+    best, now = comparison.best(), comparison.at(0.0)
+    found: list[Finding] = []
+    if best is not None and best.likelihood > CERTAIN:
+        unit = _rate_unit(best, settings)
+        clock = _clock(best, now, settings, LAG + comparison.half)
+        found = [one for one in (unit, clock) if one is not None]
+        if found:
+            return tuple(found)
+    elif best is not None and _disagrees(best):
+        return (
+            _switched_off(
+                'imu_disagrees',
+                f'turns by {np.degrees(best.imu):.2g} deg from scan to scan where scan matching '
+                f'has {np.degrees(best.lidar):.2g}, and not at the same times',
+            ),
+        )
+    axes = compare_axes(evidence)
+    other = _axes(axes, settings)
+    if other is not None:
+        return (other,)
+    seconds = float(evidence.spans.max() - evidence.spans.min()) / NANOSECONDS
+    sure = axes.as_said and axes.lead > AXES_LEAD
+    if not axes.was_upright and not sure and (last or seconds > PATIENCE):
+        return (_not_upright(evidence, settings),)
+    return ()
+
+
+def _frozen_gyro(evidence: MotionEvidence) -> Finding | None:
+    """A gyroscope that says one number while the accelerometer and the car live."""
+    if np.ptp(evidence.gyro, axis=0).any() or not np.ptp(evidence.force, axis=0).all():
+        return None
+    seen = float(np.sqrt((evidence.turns**2).sum(axis=1).mean()))
+    if seen < MOVING:
+        return None
+    x, y, z = evidence.gyro[0]
+    return _switched_off(
+        'imu_gyro_frozen',
+        f'all {len(evidence.gyro)} angular rates are ({x:.3g}, {y:.3g}, {z:.3g}) while scan '
+        f'matching turns by {np.degrees(seen):.2g} deg from scan to scan',
+    )
+
+
+def _disagrees(best: Agreement) -> bool:
+    """Whether the IMU turns much more than the car, or does not where the car turns."""
+    too_much = best.lidar > MOVING and best.imu > TOO_MUCH * best.lidar
+    return best.count >= MANY and (too_much or best.lidar > TURNING)
+
+
+def _rate_unit(best: Agreement, settings: Imu) -> Finding | None:
+    """The unit of the rates by the ratio of the two rotations."""
+    if 1.0 / NEAR_UNIT < best.scale < NEAR_UNIT:
+        return None
+    text = (
+        f'angular rates are {1.0 / best.scale:.3g} times those of scan matching '
+        f'({best.count} matches, correlation {best.turned:.2f})'
+    )
+    for unit, name in RATE_UNITS.items():
+        if 1.0 / NEAR_UNIT < best.scale / unit < NEAR_UNIT:
+            factor = float(f'{unit * settings.rate_scale:.6g}')
+            rule = 'imu_in_deg' if unit < 1.0 else 'imu_rate_unit'
+            return _scaled(rule, f'{text}: they are in {name}', factor, Severity.MENDED)
+    factor = float(f'{best.scale * settings.rate_scale:.3g}')
+    exact = best.sigma < EXACT * best.scale
+    severity = Severity.MENDED if exact else Severity.WARNING
+    return _scaled('imu_rate_scale', text, factor, severity)
+
+
+def _scaled(rule: str, text: str, factor: float, severity: Severity) -> Finding:
+    done = 'converted;' if severity is Severity.MENDED else 'perhaps'
+    remedy = f'{done} imu.rate_scale: {factor:g}'
+    return Finding(rule, severity, 'imu', text, remedy, {'imu': {'rate_scale': factor}})
+
+
+def _clock(best: Agreement, now: Agreement | None, settings: Imu, limit: float) -> Finding | None:
+    """A clock that is ahead of the LiDARs' or behind."""
+    before = 0.0 if now is None else now.likelihood
+    if abs(best.lag) <= limit or best.likelihood - before < CLOCK_GAIN:
+        return None
+    offset = round(settings.time_offset + best.lag, 3)
+    inside = abs(best.lag) < MAX_LAG - LAG
+    return Finding(
+        'imu_clock',
+        Severity.MENDED if inside else Severity.WARNING,
+        'imu',
+        f'its clock is {abs(best.lag):.3f} s {"behind" if best.lag > 0.0 else "ahead of"} the '
+        f"LiDARs' ({best.count} matches, correlation {best.turned:.2f} with it, "
+        f'{0.0 if now is None else now.turned:.2f} without)',
+        f'{"shifted;" if inside else "at least so much;"} imu.time_offset: {offset:g}',
+        {'imu': {'time_offset': offset}},
+    )
+
+
+def _axes(axes: Axes, settings: Imu) -> Finding | None:
+    """Axes that stand otherwise than the extrinsics say."""
+    if not axes.as_said and axes.gain > AXES_GAIN and axes.lead > AXES_LEAD:
+        tree: dict[str, object] = {}
+        said = []
+        if axes.sign < 0:
+            tree['acceleration_scale'] = -settings.acceleration_scale
+            said.append(f'imu.acceleration_scale: {-settings.acceleration_scale:g}')
+        if not (axes.rotation == np.eye(3)).all():
+            tree['T_base_sensor'] = turned_extrinsics(axes.rotation, settings)
+            said.append(f'imu.T_base_sensor: {tree["T_base_sensor"]}')
+        # Where gravity was right and would not be, the LiDARs are the ones that stand otherwise.
+        mended = axes.upright or not axes.was_upright
+        text = (
+            'accelerations have the wrong sign'
+            if len(said) == 1 and axes.sign < 0
+            else f'its axes stand otherwise than T_base_sensor says: {_angle(axes.rotation):.0f} '
+            'deg from there'
+        )
+        return Finding(
+            'imu_sign' if text.startswith('acc') else 'imu_axes',
+            Severity.MENDED if mended else Severity.WARNING,
+            'imu',
+            f'{text}, by gravity, rotation and acceleration of the scan matches',
+            f'{"mended;" if mended else "or the LiDARs do, as gravity was right:"} '
+            + ', '.join(said),
+            {'imu': tree},
+        )
+    angle = _angle(axes.free @ axes.rotation.T)
+    if axes.as_said and axes.free_gain > AXES_GAIN and angle > TILTED:
+        numbers = turned_extrinsics(axes.free, settings)
+        return Finding(
+            'imu_axes',
+            Severity.WARNING,
+            'imu',
+            f'rotation and acceleration fit those of scan matching best with its axes '
+            f'{angle:.0f} deg from where T_base_sensor puts them',
+            'correct T_base_sensor of the LiDARs or of the IMU; '
+            f'about imu.T_base_sensor: {numbers}',
+            {'imu': {'T_base_sensor': numbers}},
+        )
+    return None
+
+
+def _not_upright(evidence: MotionEvidence, settings: Imu) -> Finding:
+    x, y, z = np.median(evidence.force, axis=0)
+    return _switched_off(
+        'imu_not_upright',
+        f'gravity points to ({x:.1f}, {y:.1f}, {z:.1f}) m/s^2 in base_link, where up is '
+        '(0, 0, 9.8), and the car moves too little to tell why',
+        'correct the rotation in imu.T_base_sensor, or set imu.acceleration_scale: '
+        f'{-settings.acceleration_scale:g} where only the sign is wrong',
+    )
+
+
+def _switched_off(rule: str, text: str, remedy: str = '') -> Finding:
+    return Finding(
+        rule,
+        Severity.WARNING,
+        'imu',
+        text,
+        f'it is not used (imu.enabled: false){"; " if remedy else ""}{remedy}',
+        {'imu': {'enabled': False}},
+        in_force=True,
+    )
+
+
+def turned_extrinsics(rotation: NDArray[np.float64], settings: Imu) -> list[float]:
+    """``T_base_sensor`` as x, y, z, qx, qy, qz, qw with its axes turned by ``rotation`` (3, 3)."""
+    matrix = settings.matrix()
+    quaternion = Rotation.from_matrix(rotation @ matrix[:3, :3]).as_quat()
+    return [round(float(value), 6) + 0.0 for value in (*matrix[:3, 3], *quaternion)]
+
+
+def _angle(rotation: NDArray[np.float64]) -> float:
+    return float(np.degrees(np.arccos(np.clip((np.trace(rotation) - 1.0) / 2.0, -1.0, 1.0))))

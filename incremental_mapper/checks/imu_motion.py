@@ -1,0 +1,320 @@
+"""An IMU's rates and accelerations beside the motion that scan matching found: unit, axes, clock.
+
+Scan matching knows nothing of the IMU, so that what both of them see is true. Where the car drives
+straight on there is little to compare, and then nothing is said.
+"""
+
+from dataclasses import dataclass
+from itertools import permutations, product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from incremental_mapper.measurements import NANOSECONDS
+
+Array = NDArray[np.float64]
+
+STEP = 0.005
+"""Seconds between two lags that are tried."""
+COARSE = 4
+"""Steps between two lags at first; half of what a bump takes."""
+MOST_COMPARED = 400
+"""Matches that are compared at all lags, those that turn most."""
+FEWEST = 16
+"""Matches below which nothing is compared."""
+MAX_LAG = 2.0
+"""Seconds by which the IMU's clock is looked for, before and after."""
+MAX_HOLE = 0.25
+"""Seconds without a sample over which nothing is integrated."""
+LONGEST = 0.6
+"""Seconds of a match that is compared; over more than that, rotations do not add up as vectors."""
+BLOCK = 1.0
+"""Seconds over which accelerations are compared. A match is good to some centimetres, so within
+1 s the acceleration is to 0.1 to 0.3 m/s^2 on all drives here, within 0.5 s to 0.2 to 1.4."""
+LARGEST = 0.5
+"""rad; rotations above it do not add up as vectors either."""
+FORCE_SIGMA = 0.6
+"""m/s^2; deviation of an acceleration by scan matching and by the IMU: 0.1 to 0.5 on the drives
+here, and 0.3 for a road's slope that changes."""
+TURN_SIGMA = 0.002
+"""rad; the least deviation of a match's rotation: 0.0008 to 0.0026 on the drives here."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MotionEvidence:
+    """Matches of scans, and the IMU's samples of the same time, N and K of them.
+
+    Attributes:
+        spans: Stamps of each match's first and second scan (N, 2), ns.
+        turns: Rotation vectors of the matches (N, 3) in base_link, rad.
+        shifts: Their translations (N, 3) in base_link, m.
+        stamps: Of the samples (K,), ns, in time order.
+        gyro: Rates (K, 3), scaled and turned into base_link as the settings say, rad/s.
+        force: Accelerations (K, 3), the same way, m/s^2.
+    """
+
+    spans: NDArray[np.int64]
+    turns: Array
+    shifts: Array
+    stamps: NDArray[np.int64]
+    gyro: Array
+    force: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Agreement:
+    """How the IMU's rotation and that of scan matching agree at one lag.
+
+    Attributes:
+        lag: Seconds to be added to the IMU's stamps.
+        count: Matches that were compared.
+        aligned: Correlation as the extrinsics put the axes, -1 to 1.
+        turned: Correlation with the axes turned as fits best.
+        scale: Factor of the rates that fits best, with the axes turned so.
+        sigma: Its standard deviation.
+        lidar: Root mean square of the matches' rotations, rad.
+        imu: The same of the IMU's.
+    """
+
+    lag: float
+    count: int
+    aligned: float
+    turned: float
+    scale: float
+    sigma: float
+    lidar: float
+    imu: float
+
+    @property
+    def likelihood(self) -> float:
+        """Logarithm of the likelihood ratio to no agreement at all."""
+        return -1.5 * self.count * float(np.log(max(1.0 - self.turned**2, 1e-9)))
+
+
+class Comparison:
+    """Compares the rotation over the same matches, at any lag."""
+
+    def __init__(self, evidence: MotionEvidence) -> None:
+        """Integrate the rates once; a match's rotation is the difference of two places in them."""
+        start = int(min(evidence.stamps[0], evidence.spans.min()))
+        spans = (evidence.spans - start) / NANOSECONDS
+        size = np.linalg.norm(evidence.turns, axis=1)
+        keep = np.flatnonzero((spans[:, 1] - spans[:, 0] < LONGEST) & (size < LARGEST))
+        keep = keep[np.argsort(size[keep])[-MOST_COMPARED:]]
+        self._turns = evidence.turns[keep]
+        self._low = np.rint(spans[keep, 0] / STEP).astype(int)
+        self._high = np.rint(spans[keep, 1] / STEP).astype(int)
+        self.half = 0.5 * float(np.median(spans[keep, 1] - spans[keep, 0])) if len(keep) else 0.0
+        moments = (evidence.stamps - start) / NANOSECONDS
+        first, last = np.ceil(moments[0] / STEP), np.floor(moments[-1] / STEP)
+        self._first = int(first)
+        columns = integrated(evidence.stamps, evidence.gyro).T
+        grid = np.arange(first, last + 1) * STEP
+        self._integral = np.stack([np.interp(grid, moments, c) for c in columns], axis=1)
+
+    def at(self, lag: float) -> Agreement | None:
+        """Compare with ``lag`` seconds added to the IMU's stamps; None where hardly any match."""
+        found = self._agreements(np.array([round(lag / STEP)]))
+        return found[0] if found else None
+
+    def best(self) -> Agreement | None:
+        """The lag of the highest correlation, whichever way the axes stand."""
+        most = round(MAX_LAG / STEP)
+        found = self._agreements(np.arange(-most, most + 1, COARSE))
+        if not found:
+            return None
+        near = round(max(found, key=lambda one: one.turned).lag / STEP)
+        found += self._agreements(np.arange(near - COARSE + 1, near + COARSE))
+        return max(found, key=lambda one: one.turned)
+
+    def _agreements(self, steps: NDArray[np.int64]) -> list[Agreement]:
+        """Agreement at lags of so many ``STEP``, those with enough matches."""
+        shift = steps[:, None] + self._first
+        low, high = self._low - shift, self._high - shift
+        last = len(self._integral) - 1
+        inside = (low >= 0) & (high <= last)
+        span = self._integral[np.clip(high, 0, last)] - self._integral[np.clip(low, 0, last)]
+        inside &= span[:, :, 3] <= 0.0
+        used = inside.astype(float)
+        imu = span[:, :, :3] * used[:, :, None]
+        products = np.einsum('ni,lnj->lij', self._turns, imu)
+        own, other = used @ (self._turns**2).sum(axis=1), (imu**2).sum(axis=(1, 2))
+        counts = inside.sum(axis=1)
+        left, sizes, right = np.linalg.svd(products)
+        sizes[:, 2] *= np.sign(np.linalg.det(left @ right))
+        best = sizes.sum(axis=1)
+        straight = np.trace(products, axis1=1, axis2=2)
+        norm = np.maximum(np.sqrt(own * other), 1e-30)
+        scale = best / np.maximum(other, 1e-30)
+        rest = np.maximum(own - best * scale, 0.0) / np.maximum(3 * counts, 1)
+        sigma = np.sqrt(rest / np.maximum(other, 1e-30))
+        return [
+            Agreement(
+                lag=int(steps[i]) * STEP,
+                count=int(counts[i]),
+                aligned=float(straight[i] / norm[i]),
+                turned=float(best[i] / norm[i]),
+                scale=float(scale[i]),
+                sigma=float(sigma[i]),
+                lidar=float(np.sqrt(own[i] / counts[i])),
+                imu=float(np.sqrt(other[i] / counts[i])),
+            )
+            for i in np.flatnonzero(counts >= max(FEWEST, len(self._turns) // 2)).tolist()
+        ]
+
+
+def integrated(stamps: NDArray[np.int64], gyro: Array) -> Array:
+    """Integral of the rates at each stamp (K, 4), rad; the last column is the time in holes, s."""
+    passed = np.diff(stamps) / NANOSECONDS
+    mean = 0.5 * (gyro[1:] + gyro[:-1]) * passed[:, None]
+    steps = np.column_stack([mean, np.where(passed > MAX_HOLE, passed, 0.0)])
+    return np.vstack([np.zeros(4), np.cumsum(steps, axis=0)])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Axes:
+    """How an IMU's axes stand, beside what the extrinsics say.
+
+    Attributes:
+        rotation: (3, 3), from where the extrinsics put the axes to where they are; it exchanges
+            axes.
+        sign: -1 where accelerations have the wrong sign.
+        gain: Logarithm of the likelihood ratio to the extrinsics as they are.
+        lead: The same to the next best exchange of axes.
+        upright: Whether gravity then points up in base_link.
+        was_upright: Whether it does as the extrinsics say.
+        free: The rotation (3, 3) that fits best of all.
+        free_gain: Logarithm of its likelihood ratio to the best exchange of axes.
+    """
+
+    rotation: Array
+    sign: int
+    gain: float
+    lead: float
+    upright: bool
+    was_upright: bool
+    free: Array
+    free_gain: float
+
+    @property
+    def as_said(self) -> bool:
+        """Whether the extrinsics are right."""
+        return self.sign == 1 and bool((self.rotation == np.eye(3)).all())
+
+
+def _quarter_turns() -> Array:
+    """The 24 rotations that exchange axes, the identity first."""
+    found = []
+    for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
+        matrix = np.zeros((3, 3))
+        matrix[range(3), order] = signs
+        if np.linalg.det(matrix) > 0.0:
+            found.append(matrix)
+    return np.array(sorted(found, key=lambda matrix: -np.trace(matrix)))
+
+
+QUARTER_TURNS = _quarter_turns()
+"""Ways of exchanging axes (24, 3, 3), the identity first."""
+UPRIGHT = float(np.cos(np.radians(30.0)))
+"""Cosine of the angle between gravity and the z axis of base_link, above which it points up."""
+NOT_UPRIGHT = 40.0
+"""What it costs a hypothesis, as a logarithm of a likelihood, if gravity does not point up."""
+
+
+def compare_axes(evidence: MotionEvidence) -> Axes:
+    """Try all ways of exchanging axes, with accelerations of either sign.
+
+    Args:
+        evidence: Matches and samples; the clocks and the units of the two agree.
+
+    Returns:
+        The best way.
+    """
+    lidar, imu = _turn_pairs(evidence)
+    by_turn = lidar.T @ imu / _turn_variance(lidar, imu)
+    seen, felt = force_pairs(evidence)
+    if len(seen):
+        seen, felt = seen - seen.mean(axis=0), felt - felt.mean(axis=0)
+    by_force = seen.T @ felt / FORCE_SIGMA**2
+    up = np.median(evidence.force, axis=0)
+    heights = QUARTER_TURNS[:, 2] @ up / max(float(np.linalg.norm(up)), 1e-12)
+    upright = np.concatenate([heights, -heights]) > UPRIGHT
+    fits = [
+        np.einsum('kij,ij->k', QUARTER_TURNS, by_turn + sign * by_force) for sign in (1.0, -1.0)
+    ]
+    scores = np.concatenate(fits) - np.where(upright, 0.0, NOT_UPRIGHT)
+    best, second = np.argsort(scores)[:-3:-1].tolist()
+    sign = 1 if best < len(QUARTER_TURNS) else -1
+    products = by_turn + sign * by_force
+    free = best_rotation(products)
+    turn = QUARTER_TURNS[best % len(QUARTER_TURNS)]
+    return Axes(
+        rotation=turn,
+        sign=sign,
+        gain=float(scores[best] - scores[0]),
+        lead=float(scores[best] - scores[second]),
+        upright=bool(upright[best]),
+        was_upright=bool(upright[0]),
+        free=free,
+        free_gain=float(((free - turn) * products).sum()),
+    )
+
+
+def _turn_pairs(evidence: MotionEvidence) -> tuple[Array, Array]:
+    """Rotations (M, 3) of the matches that the samples cover, and the IMU's own."""
+    low, high = evidence.spans.T
+    keep = (
+        (high - low < LONGEST * NANOSECONDS)
+        & (np.linalg.norm(evidence.turns, axis=1) < LARGEST)
+        & (low >= evidence.stamps[0])
+        & (high <= evidence.stamps[-1])
+    )
+    start = int(evidence.stamps[0])
+    moments, spans = (evidence.stamps - start) / NANOSECONDS, (evidence.spans[keep] - start) / 1e9
+    table = integrated(evidence.stamps, evidence.gyro)
+    found = np.stack([np.interp(spans, moments, c) for c in table.T])
+    passed = (found[:, :, 1] - found[:, :, 0]).T
+    whole = passed[:, 3] <= 0.0
+    return evidence.turns[keep][whole], passed[whole, :3]
+
+
+def _turn_variance(lidar: Array, imu: Array) -> float:
+    """Variance of the difference between two rotations, per axis, with the axes that fit best."""
+    rest = lidar - imu @ best_rotation(lidar.T @ imu).T
+    return max(float((rest**2).mean()) if len(rest) else 0.0, TURN_SIGMA**2)
+
+
+def best_rotation(products: Array) -> Array:
+    """The rotation (3, 3) with the largest trace of R^T ``products`` (Wahba's problem)."""
+    left, _, right = np.linalg.svd(products)
+    flip = np.diag([1.0, 1.0, float(np.sign(np.linalg.det(left @ right)))])
+    rotation: Array = left @ flip @ right
+    return rotation
+
+
+def force_pairs(evidence: MotionEvidence) -> tuple[Array, Array]:
+    """Accelerations of base_link by scan matching (M, 3), and the mean specific forces beside them.
+
+    One for each second of the drive that has enough of both; gravity is in the second only.
+    """
+    start = int(evidence.stamps[0])
+    seconds = (evidence.spans - start) / NANOSECONDS
+    length = seconds[:, 1] - seconds[:, 0]
+    keep = (length < LONGEST) & (length > 0.0)
+    middle, length = seconds[keep].mean(axis=1), length[keep, None]
+    velocity, rate = evidence.shifts[keep] / length, evidence.turns[keep] / length
+    moments = (evidence.stamps - start) / NANOSECONDS
+    seen, felt = [], []
+    for block in range(int(moments[-1] / BLOCK) + 1):
+        centre = (block + 0.5) * BLOCK
+        mine = np.abs(middle - centre) <= 0.5 * BLOCK
+        samples = np.abs(moments - centre) <= 0.5 * BLOCK
+        if mine.sum() < 6 or samples.sum() < 5:
+            continue
+        offset = middle[mine] - centre
+        mean = velocity[mine].mean(axis=0)
+        deviation = offset - offset.mean()
+        slope = deviation @ velocity[mine] / max(float(deviation @ deviation), 1e-12)
+        seen.append(slope + np.cross(rate[mine].mean(axis=0), mean))
+        felt.append(evidence.force[samples].mean(axis=0))
+    return np.reshape(seen, (-1, 3)), np.reshape(felt, (-1, 3))

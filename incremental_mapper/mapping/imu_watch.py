@@ -1,0 +1,128 @@
+"""Evidence on the IMU: its samples as they came, and the matches of scans beside them."""
+
+from collections.abc import Sequence
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from incremental_mapper.checks.finding import Finding
+from incremental_mapper.checks.imu_beside_lidar import check_motion
+from incremental_mapper.checks.imu_gravity import (
+    FIRST,
+    LATE,
+    SOON,
+    check_gravity,
+    measure_gravity,
+)
+from incremental_mapper.checks.imu_motion import FEWEST, MotionEvidence
+from incremental_mapper.config import Config
+from incremental_mapper.frontend.front_end import Prepared
+from incremental_mapper.frontend.lidar_odometry import PreparedScan
+from incremental_mapper.measurements import NANOSECONDS, ImuSample
+
+MOST_SAMPLES = 40_000
+"""Samples that are kept: 100 s at 400 Hz."""
+MOST_MATCHES = 1200
+"""Matches that are kept: 60 s of two LiDARs."""
+GROWTH = 1.6
+"""The rules are asked again when there is so many times the evidence."""
+MARGIN = 0.05
+"""Seconds beyond a decision's time, for samples that are not quite regular."""
+SENSIBLE = 1e7
+"""Numbers beyond it, of any unit, are no evidence."""
+NEAR = 300 * NANOSECONDS
+"""Nor are stamps that are so far from most."""
+
+
+class ImuWatch:
+    """Keeps some of the IMU's samples and of the matches, and asks the rules now and then."""
+
+    def __init__(self, config: Config) -> None:
+        self._settings = config.imu
+        self._gravity = config.preintegration.gravity
+        self._samples: list[ImuSample] = []
+        self._matches: list[PreparedScan] = []
+        self._due: int | None = None  # stamp at which gravity is looked at
+        self._span = FIRST + MARGIN  # seconds of samples then
+        self._enough = 2 * FEWEST  # matches at which the motion is looked at
+        self._count = 0
+
+    def sample(self, sample: ImuSample) -> Sequence[Finding]:
+        """Keep a sample, as the message has it; now and then look at gravity."""
+        if not self._settings.enabled:
+            return ()
+        self._samples.append(sample)
+        if self._due is None:
+            self._due = sample.stamp + round(self._span * NANOSECONDS)
+        if sample.stamp < self._due:
+            return ()
+        start = self._due - round(self._span * NANOSECONDS)
+        later = [at + MARGIN for at in (SOON, LATE) if at > self._span]
+        self._span = later[0] if later else 3.0 * self._span
+        self._due = start + round(self._span * NANOSECONDS)
+        del self._samples[:-MOST_SAMPLES]
+        return self._look_at_gravity()
+
+    def matches(self, prepared: Sequence[Prepared]) -> Sequence[Finding]:
+        """Keep the matches of a window; now and then hold the IMU against them."""
+        if not self._settings.enabled:
+            return ()
+        new = [item for item in prepared if isinstance(item, PreparedScan) and item.previous]
+        self._matches += new
+        self._count += len(new)
+        if self._count < self._enough:
+            return ()
+        self._enough = round(GROWTH * self._count)
+        del self._matches[:-MOST_MATCHES]
+        return self._look_at_motion(last=False)
+
+    def end(self) -> Sequence[Finding]:
+        """Look once more: nothing more will come."""
+        if not self._settings.enabled:
+            return ()
+        return [*self._look_at_gravity(), *self._look_at_motion(last=True)]
+
+    def _look_at_gravity(self) -> Sequence[Finding]:
+        if not self._samples:
+            return ()
+        stamps, _, force = self._arrays()
+        found = measure_gravity(stamps, force)
+        finding = None if found is None else check_gravity(found, self._settings, self._gravity)
+        return () if finding is None else (finding,)
+
+    def _look_at_motion(self, last: bool) -> Sequence[Finding]:
+        if len(self._matches) < FEWEST or len(self._samples) < 2 * FEWEST:
+            return ()
+        stamps, gyro, force = self._arrays()
+        if len(stamps) < 2 * FEWEST:
+            return ()
+        turn = self._settings.matrix()[:3, :3].T
+        moved = [item.T_previous_current for item in self._matches]
+        evidence = MotionEvidence(
+            spans=np.array([(i.previous, i.core.stamp) for i in self._matches], dtype=np.int64),
+            turns=np.array(
+                [gtsam.Rot3.Logmap(pose.rotation()) for pose in moved if pose is not None]
+            ),
+            shifts=np.array([pose.translation() for pose in moved if pose is not None]),
+            stamps=stamps,
+            gyro=gyro @ turn,
+            force=force @ turn,
+        )
+        return check_motion(evidence, self._settings, last)
+
+    def _arrays(self) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+        """Stamps, rates and accelerations in time order, scaled, without absurd ones."""
+        stamps = np.array([sample.stamp for sample in self._samples], dtype=np.int64)
+        gyro = np.array([sample.gyro for sample in self._samples]).reshape(-1, 3)
+        force = np.array([sample.acceleration for sample in self._samples]).reshape(-1, 3)
+        order = np.argsort(stamps, kind='stable')
+        sensible = (np.abs(np.hstack([gyro, force])) < SENSIBLE).all(axis=1)
+        sensible &= np.abs(stamps - stamps[len(stamps) // 2]) < NEAR
+        keep = order[sensible[order]]
+        settings = self._settings
+        return (
+            stamps[keep],
+            settings.rate_scale * gyro[keep],
+            settings.acceleration_scale * force[keep],
+        )
