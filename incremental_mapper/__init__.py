@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from incremental_mapper.selection.lowest_score import LowestScore
     from incremental_mapper.selection.strategies import Strategy, find_strategy, strategy_names
     from incremental_mapper.selection.window_problem import WindowProblem
+    from incremental_mapper.selection.window_record import load_window, reselect_window
     from incremental_mapper.settings import load_config
     from incremental_mapper.trajectory import Trajectory, read_tum, write_tum
 
@@ -76,6 +77,7 @@ _ROOMS = {
     'selection.lowest_score': ('LowestScore',),
     'selection.strategies': ('Strategy', 'find_strategy', 'strategy_names'),
     'selection.window_problem': ('WindowProblem',),
+    'selection.window_record': ('load_window', 'reselect_window'),
     'settings': ('load_config',),
     'trajectory': ('Trajectory', 'read_tum', 'write_tum'),
 }
@@ -116,6 +118,7 @@ __all__ = [
     '__version__',
     'find_strategy',
     'load_config',
+    'load_window',
     'make_fix',
     'make_imu',
     'make_scan',
@@ -123,6 +126,7 @@ __all__ = [
     'map_source',
     'open_source',
     'read_tum',
+    'reselect_window',
     'strategy_names',
     'trajectory_errors',
     'write_tum',

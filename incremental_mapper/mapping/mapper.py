@@ -2,6 +2,7 @@
 
 import logging
 import time
+import traceback
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -33,6 +34,7 @@ from incremental_mapper.selection.bridging import bridged
 from incremental_mapper.selection.choice import Choice
 from incremental_mapper.selection.strategies import find_strategy
 from incremental_mapper.selection.window_problem import pose_problem
+from incremental_mapper.selection.window_record import WindowRecord, record_window
 from incremental_mapper.smoothing import linear_system
 from incremental_mapper.smoothing.batch import make_graph, optimize
 from incremental_mapper.smoothing.graph_state import GraphState
@@ -40,6 +42,10 @@ from incremental_mapper.trajectory import from_matrices
 from incremental_mapper.variables import pose_key
 
 LOGGER = logging.getLogger('incremental_mapper')
+MOST_RECORDS = 3
+"""Failed windows whose inputs are kept for a report; the first ones are nearest to the cause."""
+LARGEST_RECORD = 16_000_000
+"""Bytes; a window of two VLP-16 takes about 0.2 MB."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +99,7 @@ class Mapper:
         self._base = BaseCount(round(config.preintegration.max_gap * NANOSECONDS))
         self._totals = Totals()
         self._failed: Drops = Counter()
+        self._records: list[WindowRecord] = []
         self._rows: list[dict[str, Any]] = []
         self._watch = Watch(config)
 
@@ -191,6 +198,7 @@ class Mapper:
             rows=tuple(self._rows),
             statistics=self.statistics,
             findings=self._watch.final(),
+            failed=tuple(self._records),
         )
 
     def newest(self) -> NewestState | None:
@@ -344,11 +352,35 @@ class Mapper:
             told,
             exc_info=True,
         )
+        self._record(items)
         self._totals.failed_windows += 1
         for name, count in sensors.items():
             self._failed[name, 'window_failed'] += count
         self._carried = []
         return self._close(frame, items, None)
+
+    def _record(self, items: Sequence[Prepared]) -> None:
+        """Keep what a failed window's choice depended on, for a report."""
+        if len(self._records) >= MOST_RECORDS:
+            return
+        try:
+            record = record_window(
+                self._totals.windows,
+                traceback.format_exc(),
+                items,
+                self._state,
+                self._series,
+                self._orientation,
+                self.config,
+                self._shedding.candidates,
+            )
+        # What made the window fail may be in the way here too, and a report is worth less than
+        # the map.
+        except Exception:
+            LOGGER.debug('the inputs of the failed window cannot be kept', exc_info=True)
+            return
+        if len(record.data) <= LARGEST_RECORD:
+            self._records.append(record)
 
     def _close(
         self,

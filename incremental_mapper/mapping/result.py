@@ -15,6 +15,7 @@ from incremental_mapper.graph.factors import Factor
 from incremental_mapper.map.cloud import accumulate
 from incremental_mapper.mapping.statistics import MapStatistics
 from incremental_mapper.selection.choice import Tried
+from incremental_mapper.selection.window_record import WindowRecord
 from incremental_mapper.smoothing.graph_state import PlacedCluster, PlacedScan
 from incremental_mapper.trajectory import Trajectory
 from incremental_mapper.variables import pose_key
@@ -53,6 +54,7 @@ class MapResult:
         rows: The rows of ``windows.csv``.
         statistics: What the mapper counted.
         findings: What is wrong with the measurements or the map, the worst first.
+        failed: The inputs of windows that failed; the first few of them.
     """
 
     clusters: tuple[PlacedCluster, ...]
@@ -64,6 +66,7 @@ class MapResult:
     rows: tuple[dict[str, Any], ...]
     statistics: MapStatistics
     findings: tuple[Finding, ...] = ()
+    failed: tuple[WindowRecord, ...] = ()
 
     def placed_scans(self) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float64]]]:
         """Points (N, 3) in base_link and T_map_base (4, 4) of every scan."""

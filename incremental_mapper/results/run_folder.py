@@ -2,7 +2,8 @@
 
 ``trajectory.tum``, ``map.ply``, ``graph.g2o``, ``graph.json`` (see ``graph_json``),
 ``windows.csv`` and ``stats.json`` (see ``run_statistics``) are always there; pictures and
-``candidates.parquet`` (see ``candidate_table``) where their libraries are installed.
+``candidates.parquet`` (see ``candidate_table``) where their libraries are installed, and
+``failed_window_N.npz`` (see ``window_record``) where a window failed.
 """
 
 import csv
@@ -81,6 +82,8 @@ def write_result(
     graph = graph_tree(result.clusters, result.factors, result.values)
     _write(folder / GRAPH, lambda path: _write_json(path, graph))
     _write(folder / WINDOWS, lambda path: _write_rows(path, result.rows))
+    for record in result.failed:
+        _write(folder / record.name, lambda path, data=record.data: path.write_bytes(data))
     _write(folder / STATISTICS, lambda path: _write_json(path, stats, indent=2))
 
 

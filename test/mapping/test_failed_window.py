@@ -3,10 +3,12 @@
 import logging
 from itertools import count
 
+import numpy as np
 import pytest
 
-from incremental_mapper.errors import OutputError
+from incremental_mapper.errors import InputError, OutputError
 from incremental_mapper.selection import strategies
+from incremental_mapper.selection.window_record import load_window, reselect_window
 
 
 class Raising:
@@ -61,3 +63,42 @@ def test_first_window_may_fail_too(map_raising):
 def test_what_a_user_must_be_told_is_not_taken_for_a_fault_of_one_window(map_raising):
     run = map_raising(OutputError('the map cannot be kept on disk'), 3)
     run.assert_refused('cannot be kept on disk')
+
+
+def test_its_inputs_are_saved_and_fail_again(map_raising):
+    run = map_raising(KeyError('x12'), 6, 7, 15, 16)
+    kept = sorted(run.folder.glob('failed_window_*.npz'))
+    assert [path.name for path in kept] == [f'failed_window_{n}.npz' for n in (14, 5, 6)]
+    strategies.BUILT_IN['raising'] = Raising(KeyError('x12'), 1)
+    with pytest.raises(KeyError, match='x12'):
+        reselect_window(kept[0])
+
+
+def test_a_recorded_window_is_the_window(map_raising, monkeypatch):
+    """What is loaded gives the choice that the strategy would have made in the run."""
+    choices = []
+
+    class Choosing(Raising):
+        def select(self, problem):
+            choices.append(strategies.find_strategy('mom').select(problem))
+            return super().select(problem)
+
+    monkeypatch.setattr('test_failed_window.Raising', Choosing)
+    run = map_raising(KeyError('x12'), 12)
+    problem = load_window(run.folder / 'failed_window_11.npz')
+    again = strategies.find_strategy('mom').select(problem)
+    there = choices[11]
+    assert again.winner == there.winner
+    assert (again.score, again.enumerated) == (there.score, there.enumerated)
+    assert [item.solver_error for item in again.tried] == [
+        item.solver_error for item in there.tried
+    ]
+
+
+def test_what_is_no_record_is_refused(tmp_path):
+    path = tmp_path / 'failed_window_1.npz'
+    np.savez(path, text=np.array('{"format": 1, "items": {"is": "record", "of": ["os:x", {}]}}'))
+    with pytest.raises(InputError, match='no record of a failed window'):
+        load_window(path)
+    with pytest.raises(InputError, match='no record of a failed window'):
+        reselect_window(tmp_path / 'none.npz')
