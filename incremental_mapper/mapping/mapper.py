@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from incremental_mapper.blas import single_threaded_blas
-from incremental_mapper.checks.finding import Finding
+from incremental_mapper.checks.finding import Finding, ranked
+from incremental_mapper.checks.outcome import Outcome, outcome_findings
 from incremental_mapper.compiled import waiting
 from incremental_mapper.config import Config, Tree
 from incremental_mapper.errors import MapperError
@@ -23,6 +24,7 @@ from incremental_mapper.mapping.base_count import BaseCount
 from incremental_mapper.mapping.commit import NOTHING, Committed, commit
 from incremental_mapper.mapping.georeferencing import georeference
 from incremental_mapper.mapping.imu_intake import ImuIntake
+from incremental_mapper.mapping.judgement import judge_map
 from incremental_mapper.mapping.load_shedding import NO_SHEDDING, LoadShedding
 from incremental_mapper.mapping.newest_state import NewestState, newest_state
 from incremental_mapper.mapping.result import MapResult, WindowResult
@@ -185,6 +187,7 @@ class Mapper:
                 self._totals.solver_failures += 1
             else:
                 values = solution.values
+        whole = outcome_findings(self._outcome())
         clusters = tuple(self._state.clusters)
         poses = [values.atPose3(pose_key(placed.id)).matrix() for placed in clusters]
         stamps = np.array([placed.cluster.stamp for placed in clusters], dtype=np.int64)
@@ -197,7 +200,7 @@ class Mapper:
             fixes=self._fixes(),
             rows=tuple(self._rows),
             statistics=self.statistics,
-            findings=self._watch.final(),
+            findings=self._watch.final([*judge_map(self._state, values, self.config), *whole]),
             failed=tuple(self._records),
         )
 
@@ -208,7 +211,7 @@ class Mapper:
     @property
     def findings(self) -> tuple[Finding, ...]:
         """What was found wrong with the measurements so far, the worst first."""
-        return self._watch.findings()
+        return ranked([*self._watch.findings(), *outcome_findings(self._outcome())])
 
     @property
     def mend(self) -> Tree:
@@ -242,6 +245,10 @@ class Mapper:
     def stats(self) -> dict[str, Any]:
         """``statistics`` as the keys of ``stats.json``."""
         return self.statistics.to_tree()
+
+    def _outcome(self) -> Outcome:
+        notes = self._front_end.notes
+        return self._watch.fit.outcome(self._state, self._totals, notes, self._records)
 
     def _fixes(self) -> NDArray[np.float64]:
         offset = self._state.enu_offset
@@ -335,6 +342,7 @@ class Mapper:
         # Samples after the last cluster stamp belong to the next window.
         frontier = self._state.frontier
         self._series = self._series.since(min(frontier.head_stamp, frontier.newest_stamp))
+        self._watch.fit.window(self._state)
         frame.seconds['append'] = time.perf_counter() - started
         return self._close(frame, items, choice, committed)
 

@@ -1,11 +1,12 @@
 """Watches the measurements and the map while it is made, and asks the rules of ``checks``."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from incremental_mapper.checks.finding import Finding, ranked
 from incremental_mapper.config import Config, Tree
 from incremental_mapper.frontend.front_end import Prepared
 from incremental_mapper.mapping.imu_watch import ImuWatch
+from incremental_mapper.mapping.judgement import FitWatch
 from incremental_mapper.measurements import ImuSample, Measurement
 from incremental_mapper.settings import merge
 
@@ -20,6 +21,7 @@ class Watch:
     def __init__(self, config: Config) -> None:
         self._config = config
         self._findings: list[Finding] = []
+        self.fit = FitWatch(config)
         self.mend: Tree = {}
         self._imu = ImuWatch(config)
 
@@ -47,12 +49,16 @@ class Watch:
 
     def findings(self) -> tuple[Finding, ...]:
         """What was found so far, the worst first; its cost does not grow with the drive."""
-        return ranked(self._findings)
+        return ranked([*self._findings, *self.fit.found])
 
     def mended(self) -> tuple[Finding, ...]:
         """The findings that ``mend`` follows from."""
         return ranked(found for found in self._findings if found.changes)
 
-    def final(self) -> tuple[Finding, ...]:
-        """The same with what only a whole map shows, as if it ended here."""
-        return self.findings()
+    def final(self, judged: Iterable[Finding] = ()) -> tuple[Finding, ...]:
+        """The same with what only a whole map shows, as if it ended here.
+
+        Args:
+            judged: What ``judge_map`` found, in place of what was found while the map grew.
+        """
+        return ranked([*self._findings, *judged])

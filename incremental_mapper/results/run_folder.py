@@ -12,7 +12,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -83,7 +83,7 @@ def write_result(
     _write(folder / GRAPH, lambda path: _write_json(path, graph))
     _write(folder / WINDOWS, lambda path: _write_rows(path, result.rows))
     for record in result.failed:
-        _write(folder / record.name, lambda path, data=record.data: path.write_bytes(data))
+        _write(folder / record.name, partial(Path.write_bytes, data=record.data))
     _write(folder / STATISTICS, lambda path: _write_json(path, stats, indent=2))
 
 
@@ -265,10 +265,10 @@ def _write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _write(path: Path, write: Callable[[Path], object]) -> None:
-    partial = path.with_name(f'.{path.name}.partial')
+    beside = path.with_name(f'.{path.name}.partial')
     try:
-        write(partial)
-        partial.replace(path)
+        write(beside)
+        beside.replace(path)
     except OSError as error:
         raise OutputError(f'{path}: cannot be written ({error.strerror})') from error
 

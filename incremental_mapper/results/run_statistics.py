@@ -1,6 +1,7 @@
 """``stats.json`` as one record: what the mapper counted, and what the run around it adds."""
 
 import sys
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from importlib import metadata
@@ -10,6 +11,9 @@ import numpy as np
 
 from incremental_mapper import __version__
 from incremental_mapper.checks.finding import Finding, ranked
+from incremental_mapper.checks.outcome import empty_findings
+from incremental_mapper.checks.sensors import SensorUse, sensor_findings
+from incremental_mapper.graph.factors import FactorKind
 from incremental_mapper.mapping.result import MapResult
 from incremental_mapper.mapping.statistics import MapStatistics, peak_rss_mb
 from incremental_mapper.measurements import Drops
@@ -90,9 +94,16 @@ class RunStatistics:
             interrupted: Whether the rest of the input was not read.
             findings: What was wrong with the input, before the mapper's own.
         """
+        dropped = _all_drops(result.statistics.dropped, drops)
+        known = [*findings, *result.findings]
+        lost = sensor_findings(sensor_uses(result, dropped, drops))
+        named = {finding.sensor for finding in known}
+        lost = [item for item in lost if item.rule != 'sensor_silent' or item.sensor not in named]
+        seconds = result.statistics.drive_s
+        empty = empty_findings(map_points, len(result.scans), seconds)
         return cls(
             mapped=result.statistics,
-            dropped=_all_drops(result.statistics.dropped, drops),
+            dropped=dropped,
             wall_s=wall_s,
             real_time_factor=result.statistics.drive_s / wall_s,
             peak_rss_mb=peak_rss_mb(),
@@ -102,7 +113,7 @@ class RunStatistics:
             map_points=map_points,
             errors=errors,
             input=facts,
-            warnings=ranked([*findings, *result.findings]),
+            warnings=ranked([*lost, *empty, *known]),
         )
 
     def to_tree(self) -> dict[str, Any]:
@@ -132,6 +143,33 @@ def versions() -> dict[str, str]:
     """Versions of this package, of Python, and of the libraries that numbers depend on."""
     own = {'incremental_mapper': __version__, 'python': sys.version.split()[0]}
     return own | {name: metadata.version(name) for name in LIBRARIES}
+
+
+def sensor_uses(result: MapResult, dropped: DropCounts, before: Drops) -> list[SensorUse]:
+    """What became of the messages of every sensor that the settings name or that sent any.
+
+    Args:
+        result: What the mapper made.
+        dropped: Everything that was left out.
+        before: What of it never reached the mapper.
+    """
+    statistics = result.statistics
+    settings = statistics.settings or {}
+    scans = Counter(scan.sensor for scan in result.scans)
+    offered = Counter(statistics.received or {})
+    offered.update({sensor: count for (sensor, _), count in before.items()})
+    spans, fixes = (
+        (statistics.factors_by_kind or {}).get(str(kind), 0)
+        for kind in (FactorKind.IMU, FactorKind.GNSS)
+    )
+    uses = [
+        SensorUse(name, 'lidar', offered[name], scans[name], dropped.get(name, {}))
+        for name in dict.fromkeys([*settings.get('lidars', {}).get('names', ()), *scans])
+    ]
+    for name, used in (('imu', spans), ('gnss', fixes)):
+        named = bool(settings.get(name, {}).get('topic'))
+        uses.append(SensorUse(name, name, offered[name], used, dropped.get(name, {}), named))
+    return uses
 
 
 def _all_drops(in_mapper: Mapping[str, Mapping[str, int]], before: Drops) -> DropCounts:

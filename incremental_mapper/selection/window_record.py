@@ -72,7 +72,12 @@ def record_window(
     Args:
         window: Its number.
         error: What it raised, with the traceback.
-        items, state, series, orientation, config, limit: As ``pose_problem`` took them.
+        items: Its prepared core measurements.
+        state: G(t-1).
+        series: IMU samples that no span has used yet.
+        orientation: The IMU's first quaternion, if it has any.
+        config: All settings.
+        limit: Candidates that might be solved; None is all.
 
     Returns:
         The record; points that only the map needs are not in it.
@@ -90,7 +95,8 @@ def record_window(
         'limit': limit,
     }
     file = io.BytesIO()
-    np.savez_compressed(file, text=np.array(json.dumps(tree)), **writer.arrays)
+    arrays: dict[str, Any] = {'text': np.array(json.dumps(tree)), **writer.arrays}
+    np.savez_compressed(file, **arrays)
     return WindowRecord(window, error, file.getvalue())
 
 
@@ -169,7 +175,7 @@ class _Writer:
     arrays: dict[str, NDArray[Any]] = field(default_factory=dict)
 
     def tree(self, value: Any) -> Tree:
-        if value is None or isinstance(value, (bool, int, float, str)) and not _is_enum(value):
+        if value is None or (isinstance(value, (bool, int, float, str)) and not _is_enum(value)):
             return value
         kind, content = self._kind(value)
         return {'is': kind, 'of': content}
