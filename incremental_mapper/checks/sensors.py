@@ -10,6 +10,8 @@ MOSTLY = 0.5
 leave out none; a receiver's fixes are often below the wanted status, and are told from all on."""
 FEW = 5
 """Messages that make a judgement."""
+SWITCHED_OFF = 'switched_off'
+"""Reason of samples that the settings do not want."""
 REASONS = 3
 """Reasons that are told, the most frequent ones."""
 
@@ -87,7 +89,7 @@ def _lidar(item: SensorUse) -> Finding | None:
 def _other(item: SensorUse) -> Finding | None:
     if item.offered == 0:
         return _silent(item) if item.configured else None
-    if item.used or item.offered < FEW:
+    if item.used or item.offered < FEW or item.dropped.get(SWITCHED_OFF):
         return None
     imu = item.kind == 'imu'
     what = (

@@ -25,6 +25,10 @@ DropCounts: TypeAlias = dict[str, dict[str, int]]
 LIBRARIES = ('gtsam', 'kiss-icp', 'small_gicp', 'rosbags', 'numpy', 'scipy', 'pymap3d')
 
 
+FOLLOWING = ('sensor_silent', 'sensor_unused')
+"""Rules that say no more than any other finding of the sensor."""
+
+
 @dataclass(frozen=True, slots=True)
 class InputFacts:
     """What was mapped: where it came from, its kind, its measurements by sensor, remarks."""
@@ -96,9 +100,13 @@ class RunStatistics:
         """
         dropped = _all_drops(result.statistics.dropped, drops)
         known = [*findings, *result.findings]
-        lost = sensor_findings(sensor_uses(result, dropped, drops))
-        named = {finding.sensor for finding in known}
-        lost = [item for item in lost if item.rule != 'sensor_silent' or item.sensor not in named]
+        # Whoever knows why a sensor is not used has said so.
+        explained = {finding.sensor for finding in known}
+        lost = [
+            item
+            for item in sensor_findings(sensor_uses(result, dropped, drops))
+            if item.rule not in FOLLOWING or item.sensor not in explained
+        ]
         seconds = result.statistics.drive_s
         empty = empty_findings(map_points, len(result.scans), seconds)
         return cls(

@@ -92,5 +92,8 @@ def _against(stats: Mapping[str, Any], name: str) -> str:
 
 
 def _components(stats: Mapping[str, Any]) -> str:
-    count = stats['components']
-    return '1, the graph is connected' if count == 1 else f'{count}, the graph is not connected'
+    count, bridges = stats['components'], stats['bridges']
+    text = '1, the graph is connected' if count == 1 else f'{count}, the graph is not connected'
+    if not bridges:
+        return text
+    return f'{text}; {bridges} of {stats["clusters"]} poses by a bridge, which is a guess'
