@@ -14,6 +14,7 @@ from incremental_mapper.checks.sweeps import other_frame, two_lidars_one_frame
 from incremental_mapper.config import Tree
 from incremental_mapper.datasets.bag_files import Topic, bag_files, open_bag
 from incremental_mapper.datasets.bag_recovery import BagReader
+from incremental_mapper.datasets.bag_samples import sample_bag
 from incremental_mapper.datasets.extrinsics import find_extrinsics
 from incremental_mapper.datasets.first_look import (
     TopicLook,
@@ -28,8 +29,14 @@ from incremental_mapper.datasets.message_conversion import (
     scan_from_message,
 )
 from incremental_mapper.datasets.remarks import Remarks
-from incremental_mapper.datasets.sensor_settings import listed_lidars, offset_nanoseconds
+from incremental_mapper.datasets.sampling import SamplePlan, SensorKind, SensorSample
+from incremental_mapper.datasets.sensor_settings import (
+    extrinsics_of,
+    listed_lidars,
+    offset_nanoseconds,
+)
 from incremental_mapper.datasets.source import SourceInfo
+from incremental_mapper.datasets.static_transforms import STATIC_TOPIC
 from incremental_mapper.datasets.topics import (
     CLOUD,
     FrameTopic,
@@ -58,6 +65,7 @@ class BagSource:
         Raises InputError where the bag or its topics cannot be used, ConfigError for bad settings.
         """
         tree = settings or {}
+        self._given = tree
         self._path = path
         self._files = bag_files(path)
         self._folder = path if path.is_dir() else path.parent
@@ -181,6 +189,33 @@ class BagSource:
                     continue
                 self._remarks.take(measurement)
                 yield measurement
+
+    def sample(self, plan: SamplePlan) -> tuple[SensorSample, ...]:
+        """Read a sample of every sensor; the rest of the bag is not read."""
+        kinds = {'imu': SensorKind.IMU, 'gnss': SensorKind.GNSS}
+        facts = {
+            name: {
+                'kind': kinds.get(name, SensorKind.LIDAR),
+                'count': topic.count,
+                'topic': topic.name,
+                'frame': self._frames[name],
+                'origin': self._origin(name),
+            }
+            for name, topic in self._choice.topics.items()
+        }
+        with self._open() as reader:
+            return sample_bag(reader, plan, facts, self._sensor, self._converters(), self._offsets)
+
+    def _origin(self, name: str) -> str:
+        """Where a sensor's extrinsics come from, in words."""
+        if extrinsics_of(self._given, name, self._choice.lidars) is not None:
+            return 'the settings'
+        if extrinsics_of(self._info.settings, name, self._choice.lidars) is None:
+            return 'nowhere: identity'
+        beside = (self._folder / SETTINGS_FILE).is_file()
+        own = read_yaml(self._folder / SETTINGS_FILE) if beside else {}
+        known = extrinsics_of(own, name, self._choice.lidars) is not None
+        return SETTINGS_FILE if known else STATIC_TOPIC
 
     def truth(self) -> Trajectory | None:
         """Truth from an odometry topic with ``truth`` in its name, else from a file beside."""

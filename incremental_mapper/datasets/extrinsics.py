@@ -17,6 +17,7 @@ from incremental_mapper.checks.sensor_places import (
     identity_extrinsics,
 )
 from incremental_mapper.config import Tree
+from incremental_mapper.datasets.sensor_settings import extrinsics_of
 from incremental_mapper.datasets.static_transforms import (
     MOVING_TOPIC,
     STATIC_TOPIC,
@@ -64,7 +65,7 @@ def find_extrinsics(
         Their poses, as far as they can be told.
     """
     tree = read_static_transforms(reader)
-    given = {name: _given(settings, name, lidars) for name in frames}
+    given = {name: extrinsics_of(settings, name, lidars) for name in frames}
     of_static = set(tree.edges)
     if any(pose is None and _pose(tree, frames[name]) is None for name, pose in given.items()):
         add_still_transforms(reader, tree)
@@ -103,13 +104,6 @@ def find_extrinsics(
         *equal_extrinsics(places),
     ]
     return Extrinsics(found, tuple(notes), tuple(findings))
-
-
-def _given(settings: Mapping[str, Any], name: str, lidars: tuple[str, ...]) -> Any:
-    """T_base_sensor as the settings have it, or None."""
-    owner = settings.get('lidars', {}) if name in lidars else settings
-    section = owner.get(name, {}) if isinstance(owner, Mapping) else {}
-    return section.get('T_base_sensor') if isinstance(section, Mapping) else None
 
 
 def _pose(tree: FrameTree, frame: str) -> Vector | None:

@@ -20,7 +20,20 @@ from incremental_mapper.datasets.kaist_files import (
     read_scan_folder,
 )
 from incremental_mapper.datasets.remarks import Remarks
-from incremental_mapper.datasets.sensor_settings import listed_lidars, offset_nanoseconds
+from incremental_mapper.datasets.sampling import (
+    SampleMaker,
+    SamplePlan,
+    SensorKind,
+    SensorSample,
+    clouds_of_each,
+    spans,
+    spread,
+)
+from incremental_mapper.datasets.sensor_settings import (
+    extrinsics_of,
+    listed_lidars,
+    offset_nanoseconds,
+)
 from incremental_mapper.datasets.source import SourceInfo
 from incremental_mapper.datasets.truth import find_truth
 from incremental_mapper.errors import InputError, MeasurementError
@@ -35,6 +48,8 @@ from incremental_mapper.measurements import (
 from incremental_mapper.settings import make_config, merge
 from incremental_mapper.trajectory import Trajectory
 
+_KINDS = {'imu': SensorKind.IMU, 'gnss': SensorKind.GNSS}
+
 
 class KaistSource:
     """A KAIST sequence, or a bare folder of ``<stamp>.bin`` scans (one LiDAR, ``left``)."""
@@ -45,8 +60,10 @@ class KaistSource:
         Raises InputError where the folder cannot be used, ConfigError for bad settings.
         """
         tree = settings or {}
+        self._given = tree
         bare = not is_kaist_folder(path) and any(path.glob('*.bin'))
         self._recording = read_scan_folder(path) if bare else read_recording(path)
+        self._calibration = 'nowhere: identity' if bare else 'calibration/'
         used = _choose(self._recording, listed_lidars(tree))
         own = extrinsic_settings(self._recording, used)
         self._sensors = _sensors(make_config(merge(own, tree)), used)
@@ -90,6 +107,45 @@ class KaistSource:
                 continue
             self._remarks.take(measurement)
             yield measurement
+
+    def sample(self, plan: SamplePlan) -> tuple[SensorSample, ...]:
+        """Read a sample of every sensor; of other clouds only the names are known."""
+        streams = self._recording.streams
+        gnss = streams.get('gnss')
+        bounds = spans(*self._recording.span(), plan, None if gnss is None else gnss.stamps)
+        return tuple(self._sample(plan, name, bounds) for name in self._sensors)
+
+    def _sample(self, plan: SamplePlan, sensor: str, bounds: list[tuple[int, int]]) -> SensorSample:
+        stream = self._recording.streams[sensor]
+        lidars = [name for name in self._sensors if name in LIDARS]
+        given = extrinsics_of(self._given, sensor, lidars) is not None
+        maker = SampleMaker(
+            clouds_of_each(bounds, plan),
+            sensor=sensor,
+            kind=_KINDS.get(sensor, SensorKind.LIDAR),
+            count=len(stream.stamps),
+            origin='the settings' if given else self._calibration,
+            recorded=stream.stamps,
+        )
+        offset = offset_nanoseconds(self._sensors[sensor])
+        wanted = [
+            (block, index)
+            for block, (start, stop) in enumerate(bounds)
+            for index in range(*np.searchsorted(stream.stamps, [start, stop]))
+        ]
+        if sensor == 'gnss' and plan.fixes:
+            every = spread(np.arange(len(stream.stamps)), plan.fixes)
+            seen = {index for _, index in wanted}
+            wanted += [(len(bounds) + n, i) for n, i in enumerate(every) if i not in seen]
+        for block, index in wanted:
+            stamp = int(stream.stamps[index])
+            shifted = stamp + offset
+
+            def make(shifted: int = shifted, index: int = index) -> Measurement:
+                return _measurement(shifted, sensor, stream.load(index))
+
+            maker.add(block, stamp, shifted, make)
+        return maker.sample()
 
     def truth(self) -> Trajectory | None:
         """The trajectory of ``global_pose.csv``, in the folder or in its ``sensor_data``."""

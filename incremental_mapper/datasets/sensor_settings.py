@@ -1,6 +1,6 @@
 """What the user's settings say about the sensors of an input."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -34,3 +34,16 @@ def with_settings(measurement: Measurement, config: Config) -> Measurement:
     sensor = config.lidars.get(measurement.sensor) or sensors.get(measurement.sensor)
     offset = 0 if sensor is None else offset_nanoseconds(sensor)
     return replace(measurement, stamp=measurement.stamp + offset) if offset else measurement
+
+
+def extrinsics_of(settings: Mapping[str, Any], name: str, lidars: Sequence[str]) -> Any:
+    """T_base_sensor of a sensor as settings have it, or None where they say nothing of it.
+
+    Args:
+        settings: nested dictionaries.
+        name: the sensor.
+        lidars: names of all LiDARs.
+    """
+    owner = settings.get('lidars', {}) if name in lidars else settings
+    section = owner.get(name, {}) if isinstance(owner, Mapping) else {}
+    return section.get('T_base_sensor') if isinstance(section, Mapping) else None

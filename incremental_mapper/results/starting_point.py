@@ -1,0 +1,84 @@
+"""Which settings an input starts from, by its sensors: those that the shipped files hold."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from incremental_mapper.config import Tree
+from incremental_mapper.results.lidar_shape import LidarShape
+
+KAIST, KITTI, S3E = 'config/kaist.yaml', 'config/kitti.yaml', 'config/s3e.yaml'
+
+TILTED = 20.0
+"""Degrees from which a LiDAR counts as tilted. KAIST's are tilted by 45; a level mount is within 5,
+and one that looks at the kerb by 10 to 15 still sees walls first."""
+DENSE = 60_000
+"""Points of a dense scan: a VLP-16 has 30 000 rays, an HDL-64 and an OS1-128 give 107 000 to
+120 000 points."""
+LOW = 1.3
+"""Metres above the ground below which a LiDAR is on a small vehicle: S3E's has 0.9 m, those on the
+roofs of cars 1.7 m to 2.1 m."""
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """One setting and why it has its value.
+
+    ``place`` is its name, such as ``window.duration``; ``file`` the shipped file that has it too.
+    """
+
+    place: str
+    value: Any
+    why: str
+    file: str
+
+    def tree(self) -> Tree:
+        """The setting as nested dictionaries."""
+        tree: Tree = {}
+        *sections, name = self.place.split('.')
+        branch = tree
+        for section in sections:
+            branch = branch.setdefault(section, {})
+        branch[name] = self.value
+        return tree
+
+
+def starting_point(shapes: Mapping[str, LidarShape]) -> tuple[Choice, ...]:
+    """Choose settings for the LiDARs that there are.
+
+    Args:
+        shapes: what each LiDAR is like.
+
+    Returns:
+        What differs from the defaults; none where those are right.
+    """
+    chosen: list[Choice] = []
+    tilted = {name: shape.tilt for name, shape in shapes.items() if shape.tilt > TILTED}
+    if tilted:
+        angles = ' and '.join(f'{name} by {tilt:.0f} degrees' for name, tilt in tilted.items())
+        chosen.append(
+            Choice(
+                'odometry.match_range',
+                45.0,
+                f'tilted LiDARs ({angles}): further away their rings are too far apart to match',
+                KAIST,
+            )
+        )
+    if len(shapes) == 1:
+        chosen.append(
+            Choice(
+                'window.duration',
+                0.2,
+                'one LiDAR: 0.1 s holds one scan and seldom a fix, nothing to choose from',
+                KITTI,
+            )
+        )
+    points = max((shape.points for shape in shapes.values()), default=0)
+    if points > DENSE:
+        why = f'{points} points a scan: matches are as good and take half the time'
+        chosen.append(Choice('odometry.voxel_size', 1.0, why, KITTI))
+    heights = [shape.height for shape in shapes.values()]
+    if heights and all(height is not None and 0.0 < height < LOW for height in heights):
+        why = f'LiDAR {min(filter(None, heights)):.1f} m above the ground: a small vehicle, near '
+        chosen.append(Choice('odometry.min_range', 1.0, why + 'points are surroundings', S3E))
+    return tuple(chosen)
