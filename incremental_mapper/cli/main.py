@@ -14,6 +14,7 @@ from incremental_mapper.errors import MapperError
 COMMANDS = {
     'simulate': ('simulate', 'write a simulated drive with ground truth, as a KAIST Urban folder'),
     'convert': ('convert', 'convert a KAIST folder to a ROS 2 bag'),
+    'check': ('check', 'look at an input for a few seconds: what is in it, what is suspicious'),
     'map': ('map_drive', 'map a KAIST folder or a bag'),
     'evaluate': ('evaluate', 'map drives with every strategy and compare'),
     'play': ('play', 'play a bag into ROS topics'),

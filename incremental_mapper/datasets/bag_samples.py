@@ -96,7 +96,7 @@ def sample_bag(
 
 
 def _facts(name: str, facts: Mapping[str, Any], recorded: Mapping[str, Stamps]) -> dict[str, Any]:
-    found = {'sensor': name, **facts}
+    found = {'sensor': name, 'logged': True, **facts}
     times = recorded.get(str(facts['topic']))
     # Of a topic that several LiDARs share nothing tells whose a time is.
     if times is not None and len(times) == facts['count']:

@@ -44,7 +44,7 @@ from incremental_mapper.datasets.topics import (
     choose_topics,
     find_truth_topic,
 )
-from incremental_mapper.datasets.truth import find_truth
+from incremental_mapper.datasets.truth import find_truth, truth_file
 from incremental_mapper.errors import InputError, MeasurementError
 from incremental_mapper.measurements import NANOSECONDS, Drops, Measurement
 from incremental_mapper.settings import make_config, merge, read_yaml
@@ -222,12 +222,20 @@ class BagSource:
         topic = find_truth_topic(self._topics)
         if topic is not None:
             return self._truth_of_topic(topic)
-        beside = [self._folder, self._path.parent] if self._path.is_dir() else [self._folder]
-        truth = find_truth(beside)
+        truth = find_truth(self._truth_folders())
         # A file in the folder above may belong to another drive.
         if truth is None or truth.stamps[-1] < self._begin or truth.stamps[0] > self._end:
             return None
         return truth
+
+    def truth_place(self) -> str:
+        """See ``Sampled``; a file in the folder above may turn out to be another drive's."""
+        topic = find_truth_topic(self._topics)
+        path = truth_file(self._truth_folders())
+        return topic or ('' if path is None else path.name)
+
+    def _truth_folders(self) -> list[Path]:
+        return [self._folder, self._path.parent] if self._path.is_dir() else [self._folder]
 
     def _sensor(self, topic: str, message: Any) -> str | None:
         """Whose message it is; None where it has a frame of a topic's that no LiDAR has."""

@@ -35,7 +35,7 @@ from incremental_mapper.datasets.sensor_settings import (
     offset_nanoseconds,
 )
 from incremental_mapper.datasets.source import SourceInfo
-from incremental_mapper.datasets.truth import find_truth
+from incremental_mapper.datasets.truth import find_truth, truth_file
 from incremental_mapper.errors import InputError, MeasurementError
 from incremental_mapper.measurements import (
     NANOSECONDS,
@@ -149,7 +149,15 @@ class KaistSource:
 
     def truth(self) -> Trajectory | None:
         """The trajectory of ``global_pose.csv``, in the folder or in its ``sensor_data``."""
-        return find_truth([self._info.path, self._info.path / 'sensor_data'])
+        return find_truth(self._truth_folders())
+
+    def truth_place(self) -> str:
+        """See ``Sampled``."""
+        path = truth_file(self._truth_folders())
+        return '' if path is None else path.name
+
+    def _truth_folders(self) -> list[Path]:
+        return [self._info.path, self._info.path / 'sensor_data']
 
 
 def extrinsic_settings(recording: Recording, used: list[str]) -> Tree:

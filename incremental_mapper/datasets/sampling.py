@@ -58,11 +58,13 @@ class SensorSample:
         topic: where they come from; '' in a folder.
         frame: their frame_id; '' where there is none.
         origin: where its extrinsics come from, in words.
-        recorded: when each of all messages was recorded (count,), ns ascending; the stamps where
-            there is no such time; empty where it is not known.
+        logged: whether there are times of recording; in a folder there are stamps alone, which
+            then stand for them.
+        recorded: when each of all messages was recorded (count,), ns ascending; empty where that
+            is not known.
         stamps: header stamps (M,) of the messages that were read, with the time offset of the
             settings, ns.
-        received: when those were recorded (M,), ns; the stamps where there is no such time.
+        received: when those were recorded (M,), ns.
         blocks: which run of neighbouring messages each belongs to (M,).
         measurements: those that could be used, in order; of clouds some of them.
         drops: those that could not, by reason.
@@ -75,6 +77,7 @@ class SensorSample:
     topic: str = ''
     frame: str = ''
     origin: str = ''
+    logged: bool = False
     recorded: Stamps = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     stamps: Stamps = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     received: Stamps = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
@@ -90,6 +93,9 @@ class Sampled(Protocol):
 
     def sample(self, plan: SamplePlan) -> tuple[SensorSample, ...]:
         """Read a sample of every sensor; what cannot be read says nothing."""
+
+    def truth_place(self) -> str:
+        """Where ``truth`` would be read from, '' where there is none; nothing is read."""
 
 
 def spans(

@@ -1,6 +1,7 @@
 """The true trajectory of a drive: a TUM file, or KAIST's ``global_pose.csv``."""
 
 from collections import Counter
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -70,8 +71,11 @@ def find_truth(folders: list[Path]) -> Trajectory | None:
     Raises:
         InputError: it holds no pose.
     """
-    for folder in folders:
-        for name in TRUTH_FILES:
-            if (folder / name).is_file():
-                return read_truth(folder / name)
-    return None
+    path = truth_file(folders)
+    return None if path is None else read_truth(path)
+
+
+def truth_file(folders: Iterable[Path]) -> Path | None:
+    """Find the first trajectory file in some folders."""
+    files = (folder / name for folder in folders for name in TRUTH_FILES)
+    return next((path for path in files if path.is_file()), None)

@@ -1,0 +1,126 @@
+"""A look at an input before it is mapped: evidence of every sensor, and what the rules say of it.
+
+``check`` shows it, ``map`` and ``evaluate`` without settings begin with it.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from incremental_mapper.checks.finding import Finding, Severity, ranked
+from incremental_mapper.config import Config, Tree
+from incremental_mapper.datasets.open import open_source
+from incremental_mapper.datasets.sampling import (
+    Sampled,
+    SamplePlan,
+    SensorKind,
+    SensorSample,
+    scans_of,
+)
+from incremental_mapper.datasets.source import Source, SourceInfo
+from incremental_mapper.results.lidar_shape import LidarShape, lidar_shape
+from incremental_mapper.results.starting_point import Choice, starting_point
+from incremental_mapper.results.suspicions import suspicions
+from incremental_mapper.settings import make_config, merge
+
+THOROUGH = SamplePlan(fixes=60)
+"""What ``check`` reads."""
+BRIEF = SamplePlan(first=1.0, blocks=4, seconds=0.2, clouds=1, most=3)
+"""What ``map`` reads before it begins: enough for the kind of each sensor and its units."""
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What a look at an input shows.
+
+    Attributes:
+        info: what opening it tells.
+        config: the settings in force.
+        samples: what was read of each sensor.
+        truth: where its true trajectory is, '' where there is none.
+    """
+
+    info: SourceInfo
+    config: Config
+    samples: tuple[SensorSample, ...]
+    truth: str
+
+    @cached_property
+    def shapes(self) -> Mapping[str, LidarShape]:
+        """What each LiDAR is like that has scans."""
+        looks = {
+            sample.sensor: lidar_shape(list(scans_of(sample)), self.pose(sample.sensor))
+            for sample in self.samples
+            if sample.kind is SensorKind.LIDAR
+        }
+        return {name: look for name, look in looks.items() if look is not None}
+
+    @cached_property
+    def start(self) -> tuple[Choice, ...]:
+        """Settings that suit the sensors, apart from the defaults."""
+        return starting_point(self.shapes)
+
+    @cached_property
+    def findings(self) -> tuple[Finding, ...]:
+        """What is wrong with the input, the worst first."""
+        return ranked([*self.info.findings, *suspicions(self.samples, self.config)])
+
+    def pose(self, sensor: str) -> NDArray[np.float64]:
+        """T_base_sensor (4, 4) in force."""
+        sensors = {**self.config.lidars, 'imu': self.config.imu, 'gnss': self.config.gnss}
+        return sensors[sensor].matrix() if sensor in sensors else np.eye(4)
+
+    def mended(self) -> tuple[Finding, ...]:
+        """Findings that settings put right."""
+        return tuple(
+            found for found in self.findings if found.severity is Severity.MENDED and found.settings
+        )
+
+    def settings(self) -> Tree:
+        """What a user without settings starts from: ``start``, and what the data prove."""
+        tree: Tree = {}
+        for choice in self.start:
+            tree = merge(tree, choice.tree())
+        for found in self.mended():
+            tree = merge(tree, found.settings)
+        return tree
+
+
+def survey(source: Source, config: Config, plan: SamplePlan = THOROUGH) -> Survey:
+    """Look at an input.
+
+    Args:
+        source: an opened input.
+        config: the settings in force.
+        plan: how much is read.
+
+    Returns:
+        What was seen; of an input of a user's own class what it tells of itself.
+    """
+    if not isinstance(source, Sampled):
+        return Survey(source.info, config, (), '')
+    return Survey(source.info, config, source.sample(plan), source.truth_place())
+
+
+def look_at(path: Path, tree: Tree, where: str, plan: SamplePlan = THOROUGH) -> Survey:
+    """Open an input and look at it.
+
+    Args:
+        path: KAIST folder, bag, or folder of scans.
+        tree: the user's settings.
+        where: where they come from, for messages.
+        plan: how much is read.
+
+    Returns:
+        What was seen.
+
+    Raises:
+        MapperError: the input or the settings cannot be used.
+    """
+    make_config(tree, where)
+    source = open_source(path, tree)
+    return survey(source, make_config(merge(source.info.settings, tree), where), plan)
