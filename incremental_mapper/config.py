@@ -182,8 +182,9 @@ class GraphSettings(Section):
     """Seconds of the newest part of G(t) that still follows new measurements."""
     final_optimization: bool = True
     """Optimise all of G(t) once more before it is saved."""
-    motion_compensation: bool = False
-    """Move each measurement of a merged cluster to the cluster's stamp by the predicted motion."""
+    motion_compensation: bool = True
+    """Move each measurement of a merged cluster to the cluster's stamp by the predicted motion;
+    false is the paper's choice."""
     prior_sigma_position: Sigma = 0.1
     """First pose, metres."""
     prior_sigma_level: Sigma = 0.02

@@ -70,12 +70,12 @@ def run(args: argparse.Namespace) -> int:
     drive = open_drive(args.input, tree, str(args.config or 'settings'), args.truth)
     prepare_folder(args.out_dir, args.force)
     info = drive.source.info
-    for note in info.notes:
+    for note in drive.all_notes():
         print(f'note: {note}', file=sys.stderr)
     stop = Stop()
     with stop.listening(), tqdm(total=info.count, unit='msg', desc='map', disable=None) as bar:
         done, remarks = map_into(args.out_dir, drive, bar.update, stop)
-    found = [note for note in done.statistics.input.notes if note not in info.notes]
+    found = [note for note in done.statistics.input.notes if note not in drive.all_notes()]
     for remark in (*found, *remarks):
         print(f'note: {remark}', file=sys.stderr)
     print(summary(done.statistics.to_tree()))

@@ -86,6 +86,22 @@ class SensorSample:
     drops: Counter[str] = field(default_factory=Counter)
     fields: tuple[str, ...] = ()
 
+    @property
+    def steps(self) -> NDArray[np.float64]:
+        """Seconds from message to message: of all of them, else within the blocks."""
+        if len(self.recorded) > 1:
+            whole: NDArray[np.float64] = np.diff(self.recorded) / NANOSECONDS
+            return whole
+        inside = self.blocks[1:] == self.blocks[:-1]
+        within: NDArray[np.float64] = np.diff(self.received)[inside] / NANOSECONDS
+        return within
+
+    @property
+    def rate(self) -> float:
+        """Messages a second where they come; 0 where it cannot be told."""
+        usual = float(np.median(self.steps)) if len(self.steps) else 0.0
+        return 1.0 / usual if usual > 0.0 else 0.0
+
 
 @runtime_checkable
 class Sampled(Protocol):

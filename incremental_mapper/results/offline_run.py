@@ -26,6 +26,7 @@ from incremental_mapper.mapping.result import MapResult, WindowResult
 from incremental_mapper.results.candidate_table import FILE_NAME, MISSING, candidate_recorder
 from incremental_mapper.results.run_folder import draw_result, prepare_folder, write_result
 from incremental_mapper.results.run_statistics import InputFacts, RunStatistics
+from incremental_mapper.results.survey import BRIEF, survey
 from incremental_mapper.results.trajectory_errors import trajectory_errors
 from incremental_mapper.settings import make_config, merge, read_yaml
 from incremental_mapper.trajectory import Trajectory
@@ -39,7 +40,8 @@ class Drive:
     """An opened input, its effective settings and its truth, if there is one.
 
     ``tree`` are the user's settings and what was mended since, ``where`` is where they come from.
-    ``mended`` is what the data have proved wrong so far, and ``config`` puts right.
+    ``mended`` is what the data have proved wrong so far, and ``config`` puts right. ``notes`` are
+    remarks on the settings.
     """
 
     source: Source
@@ -48,6 +50,11 @@ class Drive:
     tree: Tree
     where: str
     mended: tuple[Finding, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def all_notes(self) -> tuple[str, ...]:
+        """Remarks on how the input was understood, and on the settings it is mapped with."""
+        return (*self.source.info.notes, *self.notes)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,7 +101,7 @@ class Stop:
 
 
 def open_drive(path: Path, tree: Tree, where: str, truth: Path | None = None) -> Drive:
-    """Open an input with the user's settings.
+    """Open an input with the user's settings; without any, a look at it chooses them.
 
     Args:
         path: KAIST folder, bag, or folder of scans.
@@ -109,7 +116,31 @@ def open_drive(path: Path, tree: Tree, where: str, truth: Path | None = None) ->
     source = open_source(path, tree)
     config = effective_config(source, tree, where)
     known = source.truth() if truth is None else read_truth(truth)
-    return Drive(source, config, known, tree, where)
+    drive = Drive(source, config, known, tree, where)
+    return drive if tree.keys() - {'selection'} else _looked_at(drive)
+
+
+def _looked_at(drive: Drive) -> Drive:
+    """A drive without settings, with those that a look at it proposes."""
+    seen = survey(drive.source, drive.config, BRIEF)
+    proposed = seen.settings()
+    if not proposed:
+        return drive
+    tree = merge(proposed, drive.tree)
+    # What changes how sensors are read counts from the opening on.
+    reopen = bool(proposed.keys() & {'lidars', 'imu', 'gnss'})
+    source = open_source(drive.source.info.path, tree) if reopen else drive.source
+    config = effective_config(source, tree, drive.where)
+    said = ', '.join(f'{choice.place}: {choice.value}' for choice in seen.start)
+    files = ' and '.join(dict.fromkeys(choice.file for choice in seen.start))
+    note = (
+        f'no settings are given; a look at the sensors chose {said}, as in {files} '
+        f'("incremental_mapper check {drive.source.info.path}" says why)'
+    )
+    notes = (note,) if seen.start else ()
+    return replace(
+        drive, source=source, config=config, tree=tree, mended=seen.mended(), notes=notes
+    )
 
 
 def effective_config(source: Source, tree: Mapping[str, Any], where: str) -> Config:
@@ -293,7 +324,7 @@ def _map_once(
         source.drops,
         time.perf_counter() - started,
         len(points),
-        InputFacts(str(info.path), info.kind, info.counts, info.notes),
+        InputFacts(str(info.path), info.kind, info.counts, drive.all_notes()),
         errors,
         interrupted,
         (*info.findings, *drive.mended),

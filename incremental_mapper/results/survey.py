@@ -62,7 +62,8 @@ class Survey:
     @cached_property
     def start(self) -> tuple[Choice, ...]:
         """Settings that suit the sensors, apart from the defaults."""
-        return starting_point(self.shapes)
+        rates = [sample.rate for sample in self.samples if sample.kind is SensorKind.IMU]
+        return starting_point(self.shapes, max(rates, default=0.0))
 
     @cached_property
     def findings(self) -> tuple[Finding, ...]:

@@ -5,7 +5,6 @@ from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
 
 import numpy as np
-from numpy.typing import NDArray
 
 from incremental_mapper.datasets.sampling import SensorKind, SensorSample
 from incremental_mapper.errors import MeasurementError
@@ -62,23 +61,12 @@ def _table(survey: Survey) -> list[list[str]]:
 
 def rate_text(sample: SensorSample) -> str:
     """Messages a second where they come."""
-    usual = float(np.median(_steps(sample))) if len(_steps(sample)) else 0.0
-    return f'{1.0 / usual:.3g} Hz' if usual > 0.0 else _NEVER
+    return f'{sample.rate:.3g} Hz' if sample.rate else _NEVER
 
 
 def _gap(sample: SensorSample) -> str:
     """Longest time without a message, where the times of all are known."""
-    return f'{_steps(sample).max():.3g} s' if len(sample.recorded) > 1 else _NEVER
-
-
-def _steps(sample: SensorSample) -> NDArray[np.float64]:
-    """Seconds from message to message."""
-    if len(sample.recorded) > 1:
-        return np.diff(sample.recorded) / NANOSECONDS
-    order = np.argsort(sample.received, kind='stable')
-    steps, blocks = np.diff(sample.received[order]), sample.blocks[order]
-    inside: NDArray[np.float64] = steps[blocks[1:] == blocks[:-1]] / NANOSECONDS
-    return inside
+    return f'{sample.steps.max():.3g} s' if len(sample.recorded) > 1 else _NEVER
 
 
 def clock_text(sample: SensorSample) -> str:
