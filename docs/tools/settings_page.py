@@ -42,8 +42,8 @@ when you change them, is in [Choosing and tuning](tuning.md).
 
 The defaults are what measures best on all drives together. The shipped files hold only what is
 special about a data set: `config/kaist.yaml`, `config/kitti.yaml`, `config/s3e.yaml`; and
-`config/kaist_paper.yaml` has the choices of the paper. `incremental_mapper check INPUT --write FILE`
-writes a file for an input of your own, each line with where it comes from.
+`config/kaist_paper.yaml` has the choices of the paper. For an input of your own
+`incremental_mapper check INPUT --write FILE` writes a file, each line with where it comes from.
 """
 SENSORS = """A sensor has these three, wherever it stands: `lidars.NAME`, `imu`, `gnss`. Poses are
 `T_base_sensor`: they map a point from the sensor's frame to `base_link` (x forward, y left, z up).

@@ -46,9 +46,7 @@ class Choice:
         return tree
 
 
-def starting_point(
-    shapes: Mapping[str, LidarShape], imu_rate: float = 0.0
-) -> tuple[Choice, ...]:
+def starting_point(shapes: Mapping[str, LidarShape], imu_rate: float = 0.0) -> tuple[Choice, ...]:
     """Choose settings for the sensors that there are.
 
     Args:

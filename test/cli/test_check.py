@@ -120,9 +120,7 @@ def test_the_user_s_own_settings_stay(check, light_bag, tmp_path, settings):
 
 
 @pytest.mark.parametrize('kind', ['bag', 'folder', 'unknown'])
-def test_the_file_maps_as_no_file_does(
-    check, run_map, light_bag, light_drive, tmp_path, kind
-):
+def test_the_file_maps_as_no_file_does(check, run_map, light_bag, light_drive, tmp_path, kind):
     """Without the bag's own settings file too: then the LiDARs' extrinsics are not known."""
     source: Path = light_drive if kind == 'folder' else light_bag
     if kind == 'unknown':

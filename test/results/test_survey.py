@@ -116,6 +116,4 @@ def test_settings_of_the_user_are_all_that_counts(light_bag):
 def test_a_hole_is_found(light_copy):
     keep_stamps(light_copy, 'left', lambda i: i < 5 or i >= 18)
     found = [item for item in look_at(light_copy, {}, 'settings').findings if item.sensor == 'left']
-    assert [(item.rule, item.severity) for item in found] == [
-        ('silent_sensor', Severity.WARNING)
-    ]
+    assert [(item.rule, item.severity) for item in found] == [('silent_sensor', Severity.WARNING)]
