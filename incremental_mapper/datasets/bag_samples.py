@@ -95,6 +95,17 @@ def sample_bag(
     return tuple(maker.sample() for maker in makers.values())
 
 
+def read_span(reader: BagReader, topic: str, start: int, stop: int) -> Iterator[Any]:
+    """Read the messages of a topic that were recorded from ``start`` until ``stop``, ns."""
+    for _, kind, _, data in _messages(reader, {topic}, start, stop):
+        try:
+            # On damaged data the decoder raises whatever it stumbles over.
+            message = reader.deserialize(data, kind)
+        except Exception:
+            continue
+        yield message
+
+
 def _facts(name: str, facts: Mapping[str, Any], recorded: Mapping[str, Stamps]) -> dict[str, Any]:
     found = {'sensor': name, 'logged': True, **facts}
     times = recorded.get(str(facts['topic']))

@@ -14,7 +14,7 @@ from incremental_mapper.checks.sweeps import other_frame, two_lidars_one_frame
 from incremental_mapper.config import Tree
 from incremental_mapper.datasets.bag_files import Topic, bag_files, open_bag
 from incremental_mapper.datasets.bag_recovery import BagReader
-from incremental_mapper.datasets.bag_samples import sample_bag
+from incremental_mapper.datasets.bag_samples import read_span, sample_bag
 from incremental_mapper.datasets.extrinsics import find_extrinsics
 from incremental_mapper.datasets.first_look import (
     TopicLook,
@@ -46,7 +46,7 @@ from incremental_mapper.datasets.topics import (
 )
 from incremental_mapper.datasets.truth import find_truth, truth_file
 from incremental_mapper.errors import InputError, MeasurementError
-from incremental_mapper.measurements import NANOSECONDS, Drops, Measurement
+from incremental_mapper.measurements import NANOSECONDS, Drops, LidarScan, Measurement
 from incremental_mapper.settings import make_config, merge, read_yaml
 from incremental_mapper.trajectory import Trajectory
 
@@ -205,6 +205,20 @@ class BagSource:
         }
         with self._open() as reader:
             return sample_bag(reader, plan, facts, self._sensor, self._converters(), self._offsets)
+
+    def scans(self, sensor: str, start: int, stop: int) -> Iterator[LidarScan]:
+        """See ``Sampled``."""
+        convert = self._converters()[sensor]
+        topic = self._choice.topics[sensor].name
+        with self._open() as reader:
+            for message in read_span(reader, topic, start, stop):
+                try:
+                    if self._sensor(topic, message) == sensor:
+                        scan = convert(message)
+                        assert isinstance(scan, LidarScan)
+                        yield scan
+                except (MeasurementError, AttributeError):
+                    continue
 
     def _origin(self, name: str) -> str:
         """Where a sensor's extrinsics come from, in words."""

@@ -40,6 +40,7 @@ from incremental_mapper.errors import InputError, MeasurementError
 from incremental_mapper.measurements import (
     NANOSECONDS,
     Drops,
+    LidarScan,
     Measurement,
     make_fix,
     make_imu,
@@ -146,6 +147,19 @@ class KaistSource:
 
             maker.add(block, stamp, shifted, make)
         return maker.sample()
+
+    def scans(self, sensor: str, start: int, stop: int) -> Iterator[LidarScan]:
+        """See ``Sampled``; the stamps of the files stand for the times of recording."""
+        stream = self._recording.streams[sensor]
+        offset = offset_nanoseconds(self._sensors[sensor])
+        for index in range(*np.searchsorted(stream.stamps, [start, stop])):
+            try:
+                stamp = int(stream.stamps[index]) + offset
+                scan = _measurement(stamp, sensor, stream.load(index))
+            except MeasurementError:
+                continue
+            assert isinstance(scan, LidarScan)
+            yield scan
 
     def truth(self) -> Trajectory | None:
         """The trajectory of ``global_pose.csv``, in the folder or in its ``sensor_data``."""

@@ -27,8 +27,7 @@ class SensorKind(StrEnum):
 class SamplePlan:
     """How much is read: the first seconds, then short blocks at even distances.
 
-    About 5 s of a recording of any length: 1 % of ten minutes. An IMU at rest shows gravity in the
-    first seconds; a block of 0.3 s holds three sweeps in a row.
+    An IMU at rest shows gravity in the first seconds.
 
     Attributes:
         first: seconds at the beginning.
@@ -39,9 +38,9 @@ class SamplePlan:
         fixes: further fixes that are looked up one by one; they are far between.
     """
 
-    first: float = 1.5
-    blocks: int = 12
-    seconds: float = 0.3
+    first: float = 2.0
+    blocks: int = 8
+    seconds: float = 1.0
     clouds: int = 2
     most: int = 8
     fixes: int = 0
@@ -109,6 +108,9 @@ class Sampled(Protocol):
 
     def sample(self, plan: SamplePlan) -> tuple[SensorSample, ...]:
         """Read a sample of every sensor; what cannot be read says nothing."""
+
+    def scans(self, sensor: str, start: int, stop: int) -> Iterator[LidarScan]:
+        """Read the usable scans of a LiDAR that were recorded from ``start`` until ``stop``, ns."""
 
     def truth_place(self) -> str:
         """Where ``truth`` would be read from, '' where there is none; nothing is read."""

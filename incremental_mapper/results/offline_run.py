@@ -122,7 +122,7 @@ def open_drive(path: Path, tree: Tree, where: str, truth: Path | None = None) ->
 
 def _looked_at(drive: Drive) -> Drive:
     """A drive without settings, with those that a look at it proposes."""
-    seen = survey(drive.source, drive.config, BRIEF)
+    seen = survey(drive.source, drive.config, BRIEF, match=False)
     proposed = seen.settings()
     if not proposed:
         return drive

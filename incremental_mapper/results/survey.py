@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from incremental_mapper.checks.finding import Finding, Severity, ranked
+from incremental_mapper.checks.finding import Finding, ranked
+from incremental_mapper.checks.imu_motion import MotionEvidence
 from incremental_mapper.config import Config, Tree
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.datasets.sampling import (
@@ -25,10 +26,11 @@ from incremental_mapper.datasets.source import Source, SourceInfo
 from incremental_mapper.results.lidar_shape import LidarShape, lidar_shape
 from incremental_mapper.results.starting_point import Choice, starting_point
 from incremental_mapper.results.suspicions import suspicions
+from incremental_mapper.results.turning import turning
 from incremental_mapper.settings import make_config, merge
 
 THOROUGH = SamplePlan(fixes=60)
-"""What ``check`` reads."""
+"""What ``check`` reads: 10 s of a recording of any length, and fixes."""
 BRIEF = SamplePlan(first=1.0, blocks=4, seconds=0.2, clouds=1, most=3)
 """What ``map`` reads before it begins: enough for the kind of each sensor and its units."""
 
@@ -42,12 +44,14 @@ class Survey:
         config: the settings in force.
         samples: what was read of each sensor.
         truth: where its true trajectory is, '' where there is none.
+        motion: rotations of the IMU beside those of matched scans, None where nothing was matched.
     """
 
     info: SourceInfo
     config: Config
     samples: tuple[SensorSample, ...]
     truth: str
+    motion: MotionEvidence | None = None
 
     @cached_property
     def shapes(self) -> Mapping[str, LidarShape]:
@@ -68,7 +72,7 @@ class Survey:
     @cached_property
     def findings(self) -> tuple[Finding, ...]:
         """What is wrong with the input, the worst first."""
-        return ranked([*self.info.findings, *suspicions(self.samples, self.config)])
+        return ranked([*self.info.findings, *suspicions(self.samples, self.config, self.motion)])
 
     def pose(self, sensor: str) -> NDArray[np.float64]:
         """T_base_sensor (4, 4) in force."""
@@ -76,10 +80,8 @@ class Survey:
         return sensors[sensor].matrix() if sensor in sensors else np.eye(4)
 
     def mended(self) -> tuple[Finding, ...]:
-        """Findings that settings put right."""
-        return tuple(
-            found for found in self.findings if found.severity is Severity.MENDED and found.settings
-        )
+        """Findings that a run goes by."""
+        return tuple(found for found in self.findings if found.changes)
 
     def settings(self) -> Tree:
         """What a user without settings starts from: ``start``, and what the data prove."""
@@ -91,30 +93,34 @@ class Survey:
         return tree
 
 
-def survey(source: Source, config: Config, plan: SamplePlan = THOROUGH) -> Survey:
+def survey(
+    source: Source, config: Config, plan: SamplePlan = THOROUGH, match: bool = True
+) -> Survey:
     """Look at an input.
 
     Args:
         source: an opened input.
         config: the settings in force.
         plan: how much is read.
+        match: whether some scans are matched, to hold the IMU against them.
 
     Returns:
         What was seen; of an input of a user's own class what it tells of itself.
     """
     if not isinstance(source, Sampled):
         return Survey(source.info, config, (), '')
-    return Survey(source.info, config, source.sample(plan), source.truth_place())
+    samples = source.sample(plan)
+    motion = turning(source, samples, config) if match else None
+    return Survey(source.info, config, samples, source.truth_place(), motion)
 
 
-def look_at(path: Path, tree: Tree, where: str, plan: SamplePlan = THOROUGH) -> Survey:
+def look_at(path: Path, tree: Tree, where: str) -> Survey:
     """Open an input and look at it.
 
     Args:
         path: KAIST folder, bag, or folder of scans.
         tree: the user's settings.
         where: where they come from, for messages.
-        plan: how much is read.
 
     Returns:
         What was seen.
@@ -124,4 +130,4 @@ def look_at(path: Path, tree: Tree, where: str, plan: SamplePlan = THOROUGH) -> 
     """
     make_config(tree, where)
     source = open_source(path, tree)
-    return survey(source, make_config(merge(source.info.settings, tree), where), plan)
+    return survey(source, make_config(merge(source.info.settings, tree), where))

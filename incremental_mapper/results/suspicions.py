@@ -4,17 +4,24 @@ from collections.abc import Iterator, Sequence
 
 from incremental_mapper.checks.finding import Finding
 from incremental_mapper.checks.gaps import silences
+from incremental_mapper.checks.imu_beside_lidar import check_motion
+from incremental_mapper.checks.imu_gravity import check_gravity, measure_gravity
+from incremental_mapper.checks.imu_motion import MotionEvidence
 from incremental_mapper.config import Config
 from incremental_mapper.datasets.remarks import Remarks
 from incremental_mapper.datasets.sampling import SensorKind, SensorSample
+from incremental_mapper.results.turning import imu_series
 
 
-def suspicions(samples: Sequence[SensorSample], config: Config) -> Iterator[Finding]:
+def suspicions(
+    samples: Sequence[SensorSample], config: Config, motion: MotionEvidence | None = None
+) -> Iterator[Finding]:
     """Ask every rule that a sample can answer.
 
     Args:
         samples: what was read of each sensor.
         config: the settings in force.
+        motion: what turned the IMU and what turned the scans, where some were matched.
 
     Yields:
         What is wrong, in no order.
@@ -25,4 +32,19 @@ def suspicions(samples: Sequence[SensorSample], config: Config) -> Iterator[Find
             remarks.take(measurement)
         if sample.kind is not SensorKind.GNSS:
             yield from silences(sample.sensor, sample.recorded)
+        if sample.kind is SensorKind.IMU and config.imu.enabled:
+            yield from _gravity(sample, config)
     yield from remarks.findings()
+    if motion is not None and config.imu.enabled:
+        yield from check_motion(motion, config.imu)
+
+
+def _gravity(sample: SensorSample, config: Config) -> Iterator[Finding]:
+    """What the IMU's accelerations say of their unit."""
+    series = imu_series(sample)
+    force = config.imu.acceleration_scale * series.force
+    found = measure_gravity(series.stamps, force)
+    gravity = config.preintegration.gravity
+    finding = None if found is None else check_gravity(found, config.imu, gravity)
+    if finding is not None:
+        yield finding
