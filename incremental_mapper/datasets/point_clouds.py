@@ -23,6 +23,9 @@ _IMPLAUSIBLE, _PLAUSIBLE = 0.5, 0.9
 _JUDGED = 200
 """Points of a cloud that are looked at to judge its layout."""
 
+_MAX_STEP = 1 << 16
+"""Bytes of a point; those of known drivers are 12 to 48, and NumPy's limit is 2^31."""
+
 _FLOAT32, _FLOAT64 = 7, 8
 
 
@@ -92,6 +95,13 @@ def cloud_table(message: Any) -> CloudTable:
             reread = table(other)
             if _plausible_share(reread) > _PLAUSIBLE:
                 return CloudTable(reread, (*remarks, Remark('wrong_layout', what)))
+    share = _plausible_share(points)
+    if share < _IMPLAUSIBLE:
+        raise MeasurementError(
+            'implausible_points',
+            f'only {100 * share:.0f} % of the coordinates are 0 or between {_LEAST:g} and {_MOST:g}'
+            ', in no byte order and float type more: the data are not what the fields say',
+        )
     return CloudTable(points, remarks)
 
 
@@ -127,13 +137,13 @@ def _overlap(fields: list[_Field]) -> bool:
 
 
 def _plausible_share(table: NDArray[np.void]) -> float:
-    """Share of a cloud's coordinates that can be metres; NaN and zero say nothing."""
+    """Share of a cloud's coordinates that can be metres; infinity, NaN and zero say nothing."""
     sample = table[:: max(len(table) // _JUDGED, 1)]
     if any(sample.dtype[name].kind != 'f' for name in 'xyz'):
         return 1.0
     with np.errstate(invalid='ignore'):  # signalling NaNs
         size = np.abs(np.concatenate([sample[name].astype(np.float64) for name in 'xyz']))
-    size = size[~np.isnan(size) & (size != 0.0)]
+    size = size[np.isfinite(size) & (size != 0.0)]
     return float(((size >= _LEAST) & (size <= _MOST)).mean()) if len(size) else 1.0
 
 
@@ -175,6 +185,8 @@ def _layout(fields: list[_Field], point_step: int, bigendian: bool) -> np.dtype[
                 'bad_layout',
                 f'field {field.name!r} at {field.offset} exceeds point_step {point_step}',
             )
+    if point_step > _MAX_STEP:
+        raise MeasurementError('bad_layout', f'point_step is {point_step}')
     return np.dtype(
         {
             'names': [field.name for field in fields],

@@ -20,9 +20,12 @@ from incremental_mapper.measurements import (
 )
 
 MAX_LEAP = 10 * NANOSECONDS
-"""A stamp that far ahead of all others is not believed at once."""
+"""A stamp that far ahead of all others is not believed at once, and one that far behind never."""
 LEAP_WITNESSES = 5
 """So many measurements in a row beyond a leap prove that the clock did move."""
+AGREEMENT = 60 * NANOSECONDS
+"""Witnesses of one leap are no further apart from each other than this; stray stamps are anywhere.
+Keyframes of real recordings come every few seconds."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,6 +84,8 @@ class WindowBuffer:
             return
         newest = max(self._newest.values(), default=measurement.stamp)
         if measurement.stamp - newest > MAX_LEAP:
+            if self._leap and abs(measurement.stamp - self._leap[-1].stamp) > AGREEMENT:
+                self._reject_leap()
             self._leap.append(measurement)
             if len(self._leap) < LEAP_WITNESSES:
                 return
@@ -90,6 +95,10 @@ class WindowBuffer:
                 self._insert(witness)
             return
         self._reject_leap()
+        if self._start is None and newest - measurement.stamp > max(MAX_LEAP, self._lateness):
+            # Nothing else would be late before the grid starts: it would start there.
+            self.drops[measurement.sensor, 'stamp_leap'] += 1
+            return
         self._insert(measurement)
 
     def pop_ready(self) -> list[Window]:
@@ -118,13 +127,13 @@ class WindowBuffer:
         return windows
 
     def _set_clock(self) -> None:
-        """Tell by the first measurements what time it is: one alone may be far ahead of it."""
+        """Tell by the first measurements what time it is: one alone may be far off it."""
         first, self._first = self._first, None
         if not first:
             return
         middle = sorted(item.stamp for item in first)[(len(first) - 1) // 2]
         for item in first:
-            if item.stamp - middle > MAX_LEAP:
+            if not -max(MAX_LEAP, self._lateness) <= item.stamp - middle <= MAX_LEAP:
                 self.drops[item.sensor, 'stamp_leap'] += 1
             else:
                 self._insert(item)

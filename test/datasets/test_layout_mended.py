@@ -60,10 +60,24 @@ def test_wrong_float_type_shows_in_the_points(code, declared):
     assert words(scan) == ['wrong_layout']
 
 
-def test_points_that_make_no_sense_either_way_are_left_as_they_are():
+def test_cloud_of_points_that_make_no_sense_either_way_is_none():
     noise = np.frombuffer(np.random.default_rng(0).bytes(4 * 1200), '<f4').reshape(-1, 3)
-    scan = scan_from_message(cloud(xyz(points=noise)), 'left')
-    assert scan.remarks == ()
+    message = cloud(xyz(points=noise))
+    assert reason(scan_from_message, message, 'left') == 'implausible_points'
+
+
+def test_cloud_whose_lost_returns_are_infinite_is_sound():
+    points = np.full((4 * len(MANY), 3), np.inf, dtype=np.float32)
+    points[::4] = MANY
+    scan = scan_from_message(cloud(xyz(points=points)), 'left')
+    assert len(scan.points) == len(MANY) and scan.remarks == ()
+
+
+@pytest.mark.parametrize('step', [1 << 17, 2**31, 2**32 - 1])
+def test_cloud_whose_points_are_larger_than_any_is_none(step):
+    message = cloud(xyz(points=MANY))
+    message.point_step = step
+    assert reason(scan_from_message, message, 'left') == 'bad_layout'
 
 
 @pytest.mark.parametrize(

@@ -271,6 +271,32 @@ def test_very_first_stamp_may_be_far_ahead_too():
     assert sink.drops == {('gps', 'stamp_leap'): 1}
 
 
+@pytest.mark.parametrize('sensor', ['left', 'gps', 'imu'])
+def test_stamps_far_behind_at_the_start_do_not_begin_the_grid(sensor):
+    drive = steady(2000)
+    expected = contents(run(buffer(), drive))
+    for place in (0, 2, 8):
+        sink = buffer()
+        stray = measurement(sensor, -3_600_000)
+        assert contents(run(sink, [*drive[:place], stray, *drive[place:]])) == expected
+        assert sum(sink.drops.values()) == 1
+
+
+def test_stray_stamps_in_a_row_that_have_nothing_in_common_prove_no_leap():
+    drive = steady(2000)
+    expected = contents(run(buffer(), drive))
+    sink = buffer()
+    strays = [measurement('imu', 100_000 * 4**i) for i in range(3 * LEAP_WITNESSES)]
+    assert contents(run(sink, [*drive[:100], *strays, *drive[100:]])) == expected
+    assert sink.drops == {('imu', 'stamp_leap'): len(strays)}
+
+
+def test_keyframes_many_seconds_apart_are_all_used():
+    sink = buffer(('left',))
+    frames = [measurement('left', 15_000 * i) for i in range(20)]
+    assert counted(run(sink, frames)) >= len(frames) - LEAP_WITNESSES + 1
+
+
 def test_stamp_far_ahead_at_the_very_end_is_counted():
     sink = buffer()
     drive = steady(500)

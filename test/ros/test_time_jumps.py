@@ -1,6 +1,7 @@
 """Stamps that go back: jumps of the clock, and what is none."""
 
 import numpy as np
+import pytest
 
 from incremental_mapper.config import Config, TimeJumpPolicy, TimeJumpSettings
 from incremental_mapper.measurements import ImuSample, LidarScan
@@ -81,3 +82,56 @@ def test_stamp_is_suspect_from_just_beyond_the_threshold():
         assert (len(jumps.check(imu(newest - behind)).measurements) == 1) == passes
         # The newest stamp stays what it was, however late others come.
         assert not jumps.check(imu(newest - SECOND // 2 - 1)).measurements
+
+
+def steady(seconds, start=100 * SECOND):
+    """Samples at 100 Hz, scans of two LiDARs at 10 Hz."""
+    made = [imu(start + i * SECOND // 100) for i in range(100 * seconds)]
+    for sensor, phase in (('left', 3), ('right', 55)):
+        step = SECOND // 10
+        made += [scan(start + phase * 10**6 + i * step, sensor) for i in range(10 * seconds)]
+    return sorted(made, key=lambda item: item.stamp)
+
+
+@pytest.mark.parametrize('ahead', [0.5, 3.0, 60.0, 1e8])
+@pytest.mark.parametrize('place', [0, 1, 50, 200])
+def test_one_stamp_ahead_costs_no_map_and_blocks_nobody(ahead, place):
+    drive = steady(5)
+    stray = scan(drive[place].stamp + round(ahead * SECOND), 'left')
+    jumps = JumpFilter(TimeJumpSettings())
+    steps = feed(jumps, [*drive[:place], stray, *drive[place:]])
+    assert jumps.jumps == 0
+    passed = [item for step in steps for item in step.measurements]
+    assert len([item for item in passed if item is not stray]) >= len(drive) - 2
+
+
+def test_hostile_stamps_that_go_back_anywhere_are_no_jump():
+    rng = np.random.default_rng(4)
+    jumps = JumpFilter(TimeJumpSettings())
+    sent = []
+    for item in steady(5, start=10**9 * SECOND):
+        sent.append(item)
+        for _ in range(2):  # more than the drive's own
+            back = int(10 ** rng.uniform(0.5, 8.0) * SECOND)
+            sent.append(scan(item.stamp - back, str(rng.choice(['left', 'gnss']))))
+    feed(jumps, sent)
+    assert jumps.jumps == 0
+
+
+def test_drive_that_begins_again_is_a_jump_whoever_comes_first():
+    for start in range(40):
+        jumps = JumpFilter(TimeJumpSettings())
+        feed(jumps, steady(5))
+        again = steady(2, start=90 * SECOND)[start:]
+        steps = feed(jumps, again)
+        assert jumps.jumps == 1
+        assert [item for step in steps for item in step.measurements] == again
+
+
+def test_pause_of_the_recording_is_passed_and_going_back_behind_it_is_a_jump():
+    jumps = JumpFilter(TimeJumpSettings())
+    feed(jumps, steady(2))
+    late = steady(2, start=200 * SECOND)
+    assert [item for step in feed(jumps, late) for item in step.measurements] == late
+    feed(jumps, steady(1, start=100 * SECOND))
+    assert jumps.jumps == 1

@@ -1,0 +1,147 @@
+"""Fixes that are none, or are elsewhere."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lies.lie import Verdict, lie
+from lies.recording import FIX, Recording
+
+MENDED, WARNED, REFUSED, SOUND = Verdict.MENDED, Verdict.WARNED, Verdict.REFUSED, Verdict.SOUND
+GNSS = r'gnss|fix|datum'
+METRE = 1.0 / 111_111.0
+"""Degrees of latitude."""
+
+
+def _fixes(drive: Recording, change: Callable[[int, Any], Any]) -> Recording:
+    """With every fix changed by its number."""
+    count = iter(range(10**6))
+    return drive.each(FIX, lambda message: change(next(count), message))
+
+
+def _north(message: Any, metres: float) -> Any:
+    return replace(message, latitude=message.latitude + metres * METRE)
+
+
+@lie(SOUND, MENDED, WARNED, about=GNSS, drive='fixes')
+def no_altitudes(drive: Recording, folder: Path) -> Path:
+    """Altitude of every fix NaN."""
+    return _fixes(drive, lambda _, m: replace(m, altitude=float('nan'))).write(folder / 'bag')
+
+
+@lie(MENDED, WARNED, about=GNSS, drive='fixes')
+def frozen_fixes(drive: Recording, folder: Path) -> Path:
+    """Receiver frozen bit for bit from the eighth fix on."""
+    eighth = drive.of(FIX)[7]
+    return _fixes(drive, lambda i, m: m if i < 8 else replace(eighth, header=m.header)).write(
+        folder / 'bag'
+    )
+
+
+@lie(MENDED, WARNED, about=GNSS, drive='fixes')
+def never_moving_fixes(drive: Recording, folder: Path) -> Path:
+    """Receiver frozen from the first fix on."""
+    first = drive.of(FIX)[0]
+    return _fixes(drive, lambda _, m: replace(first, header=m.header)).write(folder / 'bag')
+
+
+@lie(MENDED, WARNED, SOUND, about=GNSS, drive='fixes')
+def jump_of_five(drive: Recording, folder: Path) -> Path:
+    """Five fixes in the middle 100 m off."""
+    return _fixes(drive, lambda i, m: _north(m, 100.0) if 10 <= i < 15 else m).write(folder / 'bag')
+
+
+@lie(
+    MENDED,
+    WARNED,
+    about=GNSS,
+    drive='fixes',
+)
+def datum_step(drive: Recording, folder: Path) -> Path:
+    """All fixes from the middle on 5 m off, as by another base station."""
+    return _fixes(drive, lambda i, m: _north(m, 5.0) if i >= 13 else m).write(folder / 'bag')
+
+
+@lie(MENDED, WARNED, about=GNSS, drive='fixes')
+def begins_elsewhere(drive: Recording, folder: Path) -> Path:
+    """The first four fixes of another city."""
+    return _fixes(drive, lambda i, m: _north(m, 150_000.0) if i < 4 else m).write(folder / 'bag')
+
+
+@lie(WARNED, about=GNSS + '|no_fix', drive='fixes')
+def status_no_fix(drive: Recording, folder: Path) -> Path:
+    """Status -1 with plausible positions."""
+    return _fixes(drive, lambda _, m: replace(m, status=replace(m.status, status=-1))).write(
+        folder / 'bag'
+    )
+
+
+@lie(MENDED, WARNED, REFUSED, about=GNSS, drive='fixes')
+def exchanged_degrees(drive: Recording, folder: Path) -> Path:
+    """Latitude and longitude exchanged."""
+    return _fixes(drive, lambda _, m: replace(m, latitude=m.longitude, longitude=m.latitude)).write(
+        folder / 'bag'
+    )
+
+
+@lie(MENDED, WARNED, REFUSED, about=GNSS, drive='fixes')
+def mirrored_longitude(drive: Recording, folder: Path) -> Path:
+    """Longitude without its sign."""
+    return _fixes(drive, lambda _, m: replace(m, longitude=-m.longitude)).write(folder / 'bag')
+
+
+@lie(MENDED, WARNED, REFUSED, about=GNSS, drive='fixes')
+def minutes_as_degrees(drive: Recording, folder: Path) -> Path:
+    """Degrees and minutes read as degrees."""
+
+    def minutes(angle: float) -> float:
+        whole = np.floor(angle)
+        return float(whole + (angle - whole) * 0.6)
+
+    return _fixes(
+        drive,
+        lambda _, m: replace(m, latitude=minutes(m.latitude), longitude=minutes(m.longitude)),
+    ).write(folder / 'bag')
+
+
+@lie(MENDED, WARNED, about=GNSS, drive='fixes')
+def sure_of_itself(drive: Recording, folder: Path) -> Path:
+    """Variances of 10^-12 on fixes 3 m off."""
+    rng = np.random.default_rng(4)
+    sure = np.diag([1e-12] * 3).ravel()
+    return _fixes(
+        drive,
+        lambda _, m: replace(_north(m, rng.normal(scale=3.0)), position_covariance=sure),
+    ).write(folder / 'bag')
+
+
+@lie(SOUND, MENDED, WARNED, about=GNSS, drive='fixes')
+def zero_variances(drive: Recording, folder: Path) -> Path:
+    """All variances 0 although the type says known."""
+    return _fixes(drive, lambda _, m: replace(m, position_covariance=np.zeros(9))).write(
+        folder / 'bag'
+    )
+
+
+@lie(
+    MENDED,
+    WARNED,
+    about=GNSS,
+    drive='fixes',
+)
+def geoid_step(drive: Recording, folder: Path) -> Path:
+    """Altitudes above the sea for the first half, above the ellipsoid after it."""
+    return _fixes(
+        drive, lambda i, m: replace(m, altitude=m.altitude - 25.0) if i < 13 else m
+    ).write(folder / 'bag')
+
+
+@lie(SOUND, WARNED, about=GNSS + '|out_of_range', drive='fixes')
+def zero_place(drive: Recording, folder: Path) -> Path:
+    """Every other fix is 0, 0."""
+    return _fixes(
+        drive, lambda i, m: m if i % 2 else replace(m, latitude=0.0, longitude=0.0)
+    ).write(folder / 'bag')
