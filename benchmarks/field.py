@@ -95,12 +95,6 @@ class Outcome:
         return lines
 
     @property
-    def notes(self) -> list[str]:
-        """What is said in passing."""
-        lines = self.printed.splitlines()
-        return [line for line in lines if line.startswith(('note', 'not used', 'warning'))]
-
-    @property
     def crashed(self) -> bool:
         """Whether it ended as no program should."""
         spoken = 'incremental_mapper: ' in self.printed or self.stats is not None
@@ -192,7 +186,6 @@ def judge(lie: Lie, outcome: Outcome, unharmed: Outcome) -> str:
         return CRASH
     about = re.compile(lie.about or '.', re.IGNORECASE)
     said = any(about.search(line) for line in outcome.said)
-    noted = said or any(about.search(line) for line in outcome.notes)
     known = {(item['rule'], item['sensor']) for item in unharmed.stats['warnings']}  # type: ignore[index]
     found = (outcome.stats or {}).get('warnings', [])
     alarms = [item for item in found if (item['rule'], item['sensor']) not in known]
@@ -204,7 +197,7 @@ def judge(lie: Lie, outcome: Outcome, unharmed: Outcome) -> str:
     if Verdict.SOUND in lie.expected and good:
         bad = [item for item in alarms if item['severity'] != 'mended']
         return FALSE if bad and Verdict.WARNED not in lie.expected else FINE
-    if Verdict.MENDED in lie.expected and good and noted:
+    if Verdict.MENDED in lie.expected and good and said:
         return FINE
     if not said:
         return SILENT

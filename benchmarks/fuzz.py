@@ -5,7 +5,7 @@
 
 A short simulated drive is mapped alone and with hostile messages among its own: clouds whose
 layout is nonsense, values that are no numbers, stamps of other centuries, data that are cut or
-noise (``lies.hostile`` has them all, drawn with a seed). ``map`` reads them from a bag, and the node
+noise (``lies.hostile`` has them, drawn with a seed). ``map`` reads them from a bag, and the node
 gets them over DDS from a publisher, as raw data where they are raw. Printed are exit status, memory
 over time, and how far the two trajectories are apart; the exit status is 1 where a program crashed,
 memory grew, or the maps differ by more than their noise.
