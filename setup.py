@@ -81,7 +81,7 @@ setup(
     entry_points={
         'console_scripts': [
             f'{NAME} = {NAME}.cli.main:main',
-            f'mapper_node = {NAME}.ros.node:main',
+            f'mapper_node = {NAME}.cli.mapper_node:main',
         ]
     },
     zip_safe=False,

@@ -22,6 +22,7 @@ from incremental_mapper.evaluation.table_text import plain_table
 from incremental_mapper.evaluation.workers import ClusterWorkers, LocalWorkers, Workers
 from incremental_mapper.selection.strategies import strategy_names
 from incremental_mapper.settings import make_config, merge, read_yaml
+from incremental_mapper.visualization.extras import LIBRARIES, importable, left_out
 
 STRATEGIES = 'base,mom,min_time_shift,min_solver_error'
 DEFAULT_WIDTH = 100
@@ -187,13 +188,11 @@ def _workers(args: argparse.Namespace) -> Workers:
 
 
 def _write_report(out_dir: Path) -> None:
-    try:
-        from incremental_mapper.evaluation.report.page import write_report
-    except ModuleNotFoundError as error:
-        print(
-            f'note: no report.html, {error.name} is missing: '
-            'pip install "incremental_mapper[report]"',
-            file=sys.stderr,
-        )
+    missing = left_out(LIBRARIES)
+    if missing is not None:
+        print(f'note: {missing}', file=sys.stderr)
+    if not (importable('report.html') and importable('pictures')):
         return
+    from incremental_mapper.evaluation.report.page import write_report
+
     print(f'report: {write_report(out_dir)}')

@@ -8,7 +8,6 @@ import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -17,6 +16,7 @@ from incremental_mapper.errors import InputError, OutputError
 from incremental_mapper.mapping.result import WindowResult
 from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.selection.choice import Tried
+from incremental_mapper.visualization.extras import INSTALL, importable
 
 if TYPE_CHECKING:
     import pyarrow
@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 Row: TypeAlias = dict[str, Any]
 
 FILE_NAME = 'candidates.parquet'
-INSTALL = "pip install 'incremental_mapper[report]'"
-MISSING = f'no {FILE_NAME}, pyarrow is missing: {INSTALL}'
 ROWS_A_GROUP = 8192
 FORMAT = 1
 
@@ -113,7 +111,7 @@ def candidate_recorder(path: Path) -> Iterator[Callable[[WindowResult], None] | 
     Raises:
         OutputError: The file cannot be written.
     """
-    if find_spec('pyarrow') is None:
+    if not importable(FILE_NAME):
         yield None
         return
     writer = CandidateWriter(path)
@@ -160,7 +158,9 @@ def read_window(path: Path, window: int) -> list[Row]:
         import pyarrow
         from pyarrow import parquet
     except ImportError as error:
-        raise InputError(f'{path}: needs pyarrow to be read; install it with: {INSTALL}') from error
+        raise InputError(
+            f'{path}: needs pyarrow to be written and read; install it with: {INSTALL}'
+        ) from error
     if not path.is_file():
         raise InputError(
             f'{path}: is missing; map the drive again with pyarrow installed: {INSTALL}'

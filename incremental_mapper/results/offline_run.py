@@ -23,13 +23,14 @@ from incremental_mapper.errors import InputError
 from incremental_mapper.mapping.load_shedding import READ_AHEAD
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.mapping.result import MapResult, WindowResult
-from incremental_mapper.results.candidate_table import FILE_NAME, MISSING, candidate_recorder
+from incremental_mapper.results.candidate_table import FILE_NAME, candidate_recorder
 from incremental_mapper.results.run_folder import draw_result, prepare_folder, write_result
 from incremental_mapper.results.run_statistics import InputFacts, RunStatistics
 from incremental_mapper.results.survey import BRIEF, survey
 from incremental_mapper.results.trajectory_errors import trajectory_errors
 from incremental_mapper.settings import make_config, merge, read_yaml
 from incremental_mapper.trajectory import Trajectory
+from incremental_mapper.visualization.extras import left_out
 
 MOST_MENDS = 3
 """How often a run begins anew with settings that its data proved right."""
@@ -179,17 +180,16 @@ def map_into(
         OutputError: A file cannot be written.
         KeyboardInterrupt: It was stopped before anything was mapped.
     """
-    remarks: list[str] = []
 
     def attempt(drive: Drive, may_mend: bool) -> Run:
         with candidate_recorder(folder / FILE_NAME) as record:
-            remarks[:] = [MISSING] if record is None else []
             return _map_once(drive, progress, stop, record, may_mend)
 
     run = _mending(drive, attempt)
     write_result(folder, run.result, run.points, run.statistics.to_tree())
-    undrawn = draw_result(folder, run.result, run.points, drive.truth)
-    return run, remarks if undrawn is None else [*remarks, undrawn]
+    draw_result(folder, run.result, run.points, drive.truth)
+    missing = left_out((FILE_NAME, 'pictures'))
+    return run, [] if missing is None else [missing]
 
 
 def map_drive(

@@ -89,17 +89,16 @@ def write_result(
 
 def draw_result(
     folder: Path, result: MapResult, points: NDArray[np.float32], truth: Trajectory | None
-) -> str | None:
-    """Write the pictures of a run; arguments as in ``write_result``, and the true trajectory.
+) -> None:
+    """Write the pictures of a run, where they can be drawn.
 
-    Returns:
-        A remark where they cannot be drawn.
+    Arguments are as in ``write_result``, and the true trajectory.
 
     Raises:
         OutputError: A file cannot be written.
     """
     graph = graph_tree(result.clusters, result.factors, result.values)
-    return draw_run(folder, result.trajectory, truth, result.fixes, points, graph)
+    draw_run(folder, result.trajectory, truth, result.fixes, points, graph)
 
 
 @dataclass(frozen=True)

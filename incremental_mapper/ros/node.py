@@ -1,11 +1,10 @@
 """The node: subscriptions in, one worker that maps, publishers and services out."""
 
-import argparse
 import signal
 import sys
 import threading
 from collections import deque
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator
 from itertools import count
 from typing import Any
 
@@ -23,9 +22,9 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 
-from incremental_mapper import __version__
 from incremental_mapper.errors import ConfigError, MapperError
 from incremental_mapper.mapping.load_shedding import NO_SHEDDING
+from incremental_mapper.ros.arguments import read_own_arguments
 from incremental_mapper.ros.health import Health
 from incremental_mapper.ros.inbox import Command, Deadline, Order
 from incremental_mapper.ros.known_findings import KnownFindings
@@ -253,7 +252,7 @@ def main(args: list[str] | None = None) -> int:
         The exit status.
     """
     words = sys.argv if args is None else args
-    _parser().parse_known_args(_before_ros_args(words[1:]))  # --help and --version end here
+    read_own_arguments(words[1:])
     wanted = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: wanted.set())
@@ -265,37 +264,6 @@ def main(args: list[str] | None = None) -> int:
     finally:
         rclpy.try_shutdown()
     return 0
-
-
-def _parser() -> argparse.ArgumentParser:
-    """What the node understands itself; all else is rclpy's."""
-    parser = argparse.ArgumentParser(
-        prog='mapper_node',
-        usage='%(prog)s [-h] [--version] [--ros-args --params-file YAML -p NAME:=VALUE ...]',
-        description='Maps LiDARs, IMU and GNSS live: a ROS 2 node that listens to '
-        'points_left and points_right (or whatever lidars.names lists), imu and fix, publishes '
-        'odometry, path, map and graph, and says "listening on ..." once it is ready.',
-        epilog='Settings are ROS parameters with the names of the settings files: '
-        '--ros-args --params-file config/kaist.yaml -p graph.lag:=5.0. Services: ~/save_map, '
-        '~/flush, ~/reset, ~/pause. Everything that is wrong is in the log and on /diagnostics.',
-        allow_abbrev=False,
-    )
-    parser.add_argument('--version', action='version', version=f'%(prog)s {__version__}')
-    return parser
-
-
-def _before_ros_args(words: Sequence[str]) -> list[str]:
-    """The arguments outside of ``--ros-args ... --``."""
-    own: list[str] = []
-    ours = True
-    for word in words:
-        if word == '--ros-args':
-            ours = False
-        elif word == '--' and not ours:
-            ours = True
-        elif ours:
-            own.append(word)
-    return own
 
 
 def _start(args: list[str] | None) -> MapperNode:

@@ -18,6 +18,7 @@ from incremental_mapper.mapping.result import MapResult
 from incremental_mapper.measurements import Drops
 from incremental_mapper.results.run_folder import draw_result, write_result
 from incremental_mapper.results.run_statistics import InputFacts, RunStatistics
+from incremental_mapper.visualization.extras import left_out
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,10 +87,11 @@ def save_map(
 def _draw(folder: Path, result: MapResult, points: NDArray[np.float32]) -> str | None:
     """Draw the pictures; returns a remark where they cannot be drawn."""
     try:
-        return draw_result(folder, result, points, None)
+        draw_result(folder, result, points, None)
     # The drawing library may raise anything, and a map is worth saving without pictures.
     except Exception:
         return f'no pictures:\n{traceback.format_exc()}'
+    return left_out(['pictures'])
 
 
 def _free_name(target: Path) -> Path:

@@ -1,7 +1,6 @@
 """The pictures that lie in a run's folder: trajectory, map from above, a stretch of the graph."""
 
 from collections.abc import Mapping
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from incremental_mapper.trajectory import Trajectory
+from incremental_mapper.visualization.extras import importable
 from incremental_mapper.visualization.graph_picture import draw_graph
 from incremental_mapper.visualization.graph_view import GRAPH_SECONDS, typical_stretch
 from incremental_mapper.visualization.pictures import draw_map, draw_trajectory
@@ -21,8 +21,8 @@ def draw_run(
     fixes: NDArray[np.float64],
     points: NDArray[np.float32],
     graph: Mapping[str, Any],
-) -> str | None:
-    """Write ``trajectory.png``, ``map.png`` and ``graph.png`` into a folder.
+) -> None:
+    """Write ``trajectory.png``, ``map.png`` and ``graph.png``, where matplotlib is installed.
 
     Args:
         folder: An existing folder.
@@ -32,15 +32,11 @@ def draw_run(
         points: The map (N, 3) in metres.
         graph: The layout of ``graph.json``.
 
-    Returns:
-        A remark where matplotlib is missing and nothing was drawn.
-
     Raises:
         OutputError: A file cannot be written.
     """
-    if find_spec('matplotlib') is None:
-        return 'no pictures, matplotlib is missing: pip install "incremental_mapper[report]"'
+    if not importable('pictures'):
+        return
     draw_trajectory(folder / 'trajectory.png', trajectory, truth, fixes)
     draw_map(folder / 'map.png', points, trajectory)
     draw_graph(folder / 'graph.png', graph, *typical_stretch(graph, GRAPH_SECONDS))
-    return None

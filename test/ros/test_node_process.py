@@ -1,6 +1,7 @@
 """The node as a program of its own: what keeps it from starting."""
 
 import subprocess
+import sys
 
 import pytest
 import yaml
@@ -9,6 +10,8 @@ pytest.importorskip('rclpy', reason='rclpy is not installed (extra "ros")')
 
 from ros_helpers import next_domain
 
+from incremental_mapper import __version__
+from incremental_mapper.cli import mapper_node
 from incremental_mapper.ros.programs import local_environment, node_command
 
 
@@ -42,3 +45,33 @@ def test_damaged_parameter_file_stops_the_node_with_one_line(tmp_path):
     _, err = process.communicate(timeout=20.0)
     assert process.returncode == 1
     assert 'missing.yaml' in err and 'Traceback' not in err
+
+
+@pytest.mark.parametrize(
+    'module', ['incremental_mapper.cli.mapper_node', 'incremental_mapper.ros.node']
+)
+@pytest.mark.parametrize(
+    ('words', 'said'),
+    [
+        (['--help'], 'usage: mapper_node'),
+        (['--version'], f'mapper_node {__version__}\n'),
+        (['--ros-args', '-p', 'graph.lag:=1.0', '--', '-h'], '--params-file'),
+    ],
+)
+def test_help_and_version_start_no_node(module, words, said):
+    command = [sys.executable, '-m', module, *words]
+    environment = local_environment(next_domain())
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0 and done.stderr == ''
+    assert said in done.stdout
+
+
+def test_without_ros_the_program_says_so(monkeypatch, capsys):
+    for name in [name for name in sys.modules if name.split('.')[0] == 'rclpy']:
+        monkeypatch.delitem(sys.modules, name)
+    for name in [name for name in sys.modules if name.startswith('incremental_mapper.ros')]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, 'rclpy', None)
+    assert mapper_node.main(['mapper_node']) == 1
+    err = capsys.readouterr().err
+    assert 'pip install "incremental_mapper[ros]"' in err and err.count('\n') == 1

@@ -1,0 +1,36 @@
+"""``mapper_node``: the program of the ROS 2 node, which says so where there is no ROS."""
+
+import sys
+from collections.abc import Sequence
+
+from incremental_mapper.cli import exit_status
+from incremental_mapper.ros.arguments import read_own_arguments
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the node until SIGINT or SIGTERM.
+
+    Args:
+        arguments: The program and its arguments; None takes those of this process.
+
+    Returns:
+        The exit status.
+    """
+    words = sys.argv if arguments is None else list(arguments)
+    read_own_arguments(words[1:])
+    try:
+        from incremental_mapper.ros import node
+    except ImportError as error:
+        if (error.name or '').split('.')[0] == 'incremental_mapper':
+            raise
+        print(
+            f'mapper_node: needs rclpy and messages, which cannot be imported ({error}); '
+            'pip install "incremental_mapper[ros]", or source a ROS 2 installation',
+            file=sys.stderr,
+        )
+        return exit_status.FAILURE
+    return node.main(words)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

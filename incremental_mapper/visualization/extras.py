@@ -1,0 +1,43 @@
+"""Libraries that come with the extra ``report``: without them their files are left out."""
+
+from collections.abc import Iterable
+from importlib import import_module
+
+INSTALL = 'pip install "incremental_mapper[report]"'
+LIBRARIES = {
+    'pictures': 'matplotlib',
+    'candidates.parquet': 'pyarrow',
+    'report.html': 'jinja2',
+}
+"""What is written, and the library that it needs."""
+
+
+def importable(files: str) -> bool:
+    """Tell whether files can be written.
+
+    Args:
+        files: A key of ``LIBRARIES``.
+    """
+    try:
+        import_module(LIBRARIES[files])
+    # One that was built against another library than is installed raises what it likes.
+    except Exception:
+        return False
+    return True
+
+
+def left_out(files: Iterable[str]) -> str | None:
+    """One line on the files that cannot be written, and how they can be.
+
+    Args:
+        files: Keys of ``LIBRARIES`` that are wanted.
+
+    Returns:
+        None where all can be written.
+    """
+    missing = [name for name in files if not importable(name)]
+    if not missing:
+        return None
+    libraries = ', '.join(dict.fromkeys(LIBRARIES[name] for name in missing))
+    verb = 'is' if len(missing) == 1 else 'are'
+    return f'no {" and no ".join(missing)}: {libraries} {verb} missing; {INSTALL}'
