@@ -22,6 +22,7 @@ from incremental_mapper.datasets.first_look import (
     look_at_clouds,
     look_at_frame,
 )
+from incremental_mapper.datasets.imu_look import look_at_imus
 from incremental_mapper.datasets.message_conversion import (
     fix_from_message,
     header_stamp,
@@ -39,6 +40,7 @@ from incremental_mapper.datasets.source import SourceInfo
 from incremental_mapper.datasets.static_transforms import STATIC_TOPIC
 from incremental_mapper.datasets.topics import (
     CLOUD,
+    IMU,
     FrameTopic,
     TopicChoice,
     choose_topics,
@@ -89,7 +91,11 @@ class BagSource:
                 for topic in self._topics
                 if (look := looks.get(topic.name)) is not None
             }
-            self._choice = choose_topics(path, self._topics, config, counts)
+            imus = [topic for topic in self._topics if topic.type == IMU and topic.count]
+            several = len(imus) > 1 and not config.imu.topic
+            gravity = config.preintegration.gravity
+            unsound = look_at_imus(reader, imus, gravity) if several else {}
+            self._choice = choose_topics(path, self._topics, config, counts, unsound)
             _refuse_parts(path, self._choice, looks)
             self._frames = {
                 name: topic.frame

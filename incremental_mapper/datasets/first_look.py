@@ -38,7 +38,7 @@ class TopicLook:
 
 def look_at_frame(reader: AnyReader, topic: Topic) -> str:
     """Read the frame_id of the first message that can be read, or '' where none can."""
-    for message in _messages(reader, topic):
+    for message in messages_of(reader, topic):
         return _frame(message)
     return ''
 
@@ -56,7 +56,7 @@ def look_at_clouds(reader: AnyReader, topic: Topic) -> TopicLook:
     frames: Counter[str] = Counter()
     times: dict[str, str] = {}
     clouds: list[NDArray[np.float32]] = []
-    for count, message in enumerate(_messages(reader, topic)):
+    for count, message in enumerate(messages_of(reader, topic)):
         if count >= LOOKED_AT:
             break
         frame = _frame(message)
@@ -79,10 +79,11 @@ def look_at_clouds(reader: AnyReader, topic: Topic) -> TopicLook:
 
 def count_frames(reader: AnyReader, topic: Topic) -> Counter[str]:
     """Count all messages of a topic by frame_id; unreadable ones are left out."""
-    return Counter(_frame(message) for message in _messages(reader, topic))
+    return Counter(_frame(message) for message in messages_of(reader, topic))
 
 
-def _messages(reader: AnyReader, topic: Topic) -> Iterator[Any]:
+def messages_of(reader: AnyReader, topic: Topic) -> Iterator[Any]:
+    """Read the messages of a topic that can be read, up to the first damaged chunk."""
     connections = [c for c in reader.connections if c.topic == topic.name]
     if not connections:
         return

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from incremental_mapper.checks.chosen_topics import missing_topic
 from incremental_mapper.checks.finding import Finding
+from incremental_mapper.checks.imu_choice import other_imu
 from incremental_mapper.checks.sweeps import several_frames
 from incremental_mapper.config import Config, Sensor
 from incremental_mapper.datasets.bag_files import Topic, describe_topics
@@ -61,6 +62,7 @@ def choose_topics(
     topics: Sequence[Topic],
     config: Config,
     frames: Mapping[str, Mapping[str, int]] | None = None,
+    unsound: Mapping[str, str] | None = None,
 ) -> TopicChoice:
     """Find the LiDARs', the IMU's and the receiver's topics.
 
@@ -70,6 +72,7 @@ def choose_topics(
         config: settings, which may name topics and LiDARs.
         frames: number of messages by frame_id of the cloud topics, where that is known; a topic
             with several is that of several LiDARs.
+        unsound: what is wrong with IMUs, by topic; they are taken only where there is no other.
 
     Returns:
         The topics; of several that could be meant, the one with the most messages.
@@ -97,7 +100,7 @@ def choose_topics(
         topic = (
             _named(path, topics, name, f'{name}.topic', sensor.topic, kind, findings)
             if sensor.topic
-            else _likeliest(topics, name, kind, notes)
+            else _likeliest(topics, name, kind, notes, findings, unsound or {})
         )
         if topic is not None:
             chosen[name] = topic
@@ -223,16 +226,28 @@ def _named(
     return max(fitting or found, key=lambda topic: topic.count)
 
 
-def _likeliest(topics: Sequence[Topic], name: str, kind: str, notes: list[str]) -> Topic | None:
+def _likeliest(
+    topics: Sequence[Topic],
+    name: str,
+    kind: str,
+    notes: list[str],
+    findings: list[Finding],
+    unsound: Mapping[str, str],
+) -> Topic | None:
+    """The topic with the most messages, of those that are sound if any is."""
     found = [topic for topic in topics if topic.type == kind and topic.count]
     if not found:
         notes.append(f'{name}: no {kind} messages')
         return None
-    best = max(found, key=lambda topic: topic.count)
-    others = ', '.join(topic.name for topic in found if topic is not best)
-    notes.append(
-        f'{name}: topic {best.name}' + (f' has more messages than {others}' * bool(others))
-    )
+    sound = [topic for topic in found if topic.name not in unsound]
+    best = max(sound or found, key=lambda topic: topic.count)
+    others = [topic for topic in found if topic is not best]
+    passed = {topic.name: unsound[topic.name] for topic in others if topic.name in unsound}
+    if sound and passed:
+        findings.append(other_imu(best.name, passed, [topic.name for topic in others]))
+    listed = ', '.join(topic.name for topic in others)
+    more = f' has more messages than {listed}' if others and not passed else ''
+    notes.append(f'{name}: topic {best.name}{more}')
     return best
 
 
