@@ -63,6 +63,7 @@ def evidence(turn=None, settings=None, rate=1.0, force=1.0, late=0.0, seconds=10
         stamps=stamps + round(late * 1e9),
         gyro=settings.rate_scale * rate * gyro @ believed.T,
         force=settings.acceleration_scale * force * acceleration @ believed.T,
+        gravity=GRAVITY,
     )
 
 

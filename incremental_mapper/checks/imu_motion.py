@@ -51,6 +51,7 @@ class MotionEvidence:
         stamps: Of the samples (K,), ns, in time order.
         gyro: Rates (K, 3), scaled and turned into base_link as the settings say, rad/s.
         force: Accelerations (K, 3), the same way, m/s^2.
+        gravity: Magnitude of gravity in them, m/s^2; 0 where there is none.
     """
 
     spans: NDArray[np.int64]
@@ -59,6 +60,7 @@ class MotionEvidence:
     stamps: NDArray[np.int64]
     gyro: Array
     force: Array
+    gravity: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -237,8 +239,11 @@ def compare_axes(evidence: MotionEvidence) -> Axes:
         seen, felt = seen - seen.mean(axis=0), felt - felt.mean(axis=0)
     by_force = seen.T @ felt / FORCE_SIGMA**2
     up = np.median(evidence.force, axis=0)
-    heights = QUARTER_TURNS[:, 2] @ up / max(float(np.linalg.norm(up)), 1e-12)
+    size = float(np.linalg.norm(up))
+    heights = QUARTER_TURNS[:, 2] @ up / max(size, 1e-12)
     upright = np.concatenate([heights, -heights]) > UPRIGHT
+    if not 0.5 * evidence.gravity < size < 2.0 * evidence.gravity:  # it says nothing
+        upright[:] = True
     fits = [
         np.einsum('kij,ij->k', QUARTER_TURNS, by_turn + sign * by_force) for sign in (1.0, -1.0)
     ]

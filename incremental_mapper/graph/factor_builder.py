@@ -40,6 +40,11 @@ from incremental_mapper.variables import bias_key, pose_key, velocity_key
 
 UNSEEN_ACCELERATION = 2.0
 """m/s^2 by which a car's acceleration may differ from what the nearest IMU sample says."""
+UNSEEN_SPEED = 0.5
+"""m/s; deviation of the velocity with which a measurement is moved where there is no IMU: the noise
+of a match over 0.1 s is 0.3."""
+UNSEEN_TURN = 0.05
+"""rad/s; the same of its rate of turn: a match's noise over 0.1 s is 0.03."""
 SHORTEST = NANOSECONDS // 1000
 """Nanoseconds for which velocity and bias may change at the least, so that no sigma is zero."""
 
@@ -217,12 +222,23 @@ class FactorBuilder:
                     FactorKind.ODOMETRY,
                     (pose_key(start), pose_key(own)),
                     motion,
-                    self._sigmas,
+                    self._moved_sigmas(end, item, start_cluster),
                     item.core.sensor,
                     (item.previous, item.core.stamp),
                 ),
             )
         return self._cache[key]
+
+    def _moved_sigmas(
+        self, end: Cluster, item: PreparedScan, start: Cluster | None
+    ) -> NDArray[np.float64]:
+        """Standard deviations of a match, with what moving its ends across IMU holes adds."""
+        unseen = self._compensation.unseen(end, item.core.stamp)
+        if start is not None and item.previous is not None:
+            unseen += self._compensation.unseen(start, item.previous)
+        if unseen <= 0.0:
+            return self._sigmas
+        return np.hypot(self._sigmas, unseen * pose_sigmas(UNSEEN_SPEED, UNSEEN_TURN))
 
     def _gnss(self, item: PreparedFix, cluster: Cluster) -> tuple[Factor, ...]:
         own = self._partitions.number(cluster)
@@ -232,7 +248,8 @@ class FactorBuilder:
             spread = self._in.fix_inflation.get(item.core.stamp, 0.0)
             arm = config.gnss.matrix()[:3, 3]
             arm = self._compensation.offset(cluster, item.core.stamp).transformFrom(arm)
-            inflated = item.covariance + np.diag([spread**2, spread**2, 0.0])
+            moved = UNSEEN_SPEED * self._compensation.unseen(cluster, item.core.stamp)
+            inflated = item.covariance + np.diag([spread**2, spread**2, 0.0]) + moved**2 * np.eye(3)
             self._cache[key] = (
                 gnss_factor(
                     pose_key(own),

@@ -7,8 +7,9 @@ The paper uses every member as if it had been taken at the cluster's stamp. With
 import gtsam
 
 from incremental_mapper.candidates.model import Cluster
-from incremental_mapper.frontend.dead_reckoning import State, propagate
+from incremental_mapper.frontend.dead_reckoning import NO_TURNS, State, Turns, propagate
 from incremental_mapper.frontend.imu_preintegration import ImuSeries
+from incremental_mapper.measurements import NANOSECONDS
 
 
 class MotionCompensation:
@@ -21,6 +22,7 @@ class MotionCompensation:
         parameters: gtsam.PreintegrationCombinedParams,
         max_gap: int,
         enabled: bool,
+        turns: Turns = NO_TURNS,
     ) -> None:
         """Nothing is computed before it is asked for.
 
@@ -30,12 +32,14 @@ class MotionCompensation:
             parameters: Noise and gravity of the pre-integration.
             max_gap: Longest hole in the samples, ns, that the IMU may be used across.
             enabled: Whether members are moved; else every offset is the identity.
+            turns: How the car turned, where the IMU has holes.
         """
         self._start = start
         self._series = series
         self._parameters = parameters
         self._max_gap = max_gap
         self._enabled = enabled
+        self._turns = turns
         self._offsets: dict[tuple[int, int], gtsam.Pose3] = {}
         self._states: dict[int, State] = {}
 
@@ -58,10 +62,22 @@ class MotionCompensation:
             self._offsets[key] = at[0].pose.between(at[1].pose)
         return self._offsets[key]
 
+    def unseen(self, cluster: Cluster, stamp: int) -> float:
+        """Seconds of the way from a cluster to a member that no IMU covers.
+
+        Args:
+            cluster: The cluster.
+            stamp: Stamp of the member, ns.
+        """
+        if not self._enabled or stamp == cluster.stamp:
+            return 0.0
+        ends = [self.dead_reckon(moment).unseen for moment in (cluster.stamp, stamp)]
+        return min(abs(ends[1] - ends[0]), abs(stamp - cluster.stamp) / NANOSECONDS)
+
     def dead_reckon(self, stamp: int) -> State:
-        """The state at ``stamp`` (ns), from the IMU alone."""
+        """The state at ``stamp`` (ns), from the IMU, and across its holes from the matches."""
         if stamp not in self._states:
             self._states[stamp] = propagate(
-                self._start, stamp, self._series, self._parameters, self._max_gap
+                self._start, stamp, self._series, self._parameters, self._max_gap, self._turns
             )
         return self._states[stamp]

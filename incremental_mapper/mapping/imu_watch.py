@@ -15,6 +15,7 @@ from incremental_mapper.checks.imu_gravity import (
     check_gravity,
     measure_gravity,
 )
+from incremental_mapper.checks.imu_holes import check_holes
 from incremental_mapper.checks.imu_motion import FEWEST, MotionEvidence
 from incremental_mapper.config import Config
 from incremental_mapper.frontend.front_end import Prepared
@@ -47,12 +48,15 @@ class ImuWatch:
         self._span = FIRST + MARGIN  # seconds of samples then
         self._enough = 2 * FEWEST  # matches at which the motion is looked at
         self._count = 0
+        self._max_gap = round(config.preintegration.max_gap * NANOSECONDS)
+        self._holes = _Holes(self._max_gap)
 
     def sample(self, sample: ImuSample) -> Sequence[Finding]:
         """Keep a sample, as the message has it; now and then look at gravity."""
         if not self._settings.enabled:
             return ()
         self._samples.append(sample)
+        self._holes.pass_by(sample.stamp)
         if self._due is None:
             self._due = sample.stamp + round(self._span * NANOSECONDS)
         if sample.stamp < self._due:
@@ -81,7 +85,11 @@ class ImuWatch:
         """Look once more: nothing more will come."""
         if not self._settings.enabled:
             return ()
-        return [*self._look_at_gravity(), *self._look_at_motion(last=True)]
+        return [
+            *self._look_at_gravity(),
+            *self._look_at_motion(last=True),
+            *self._look_at_holes(),
+        ]
 
     def _look_at_gravity(self) -> Sequence[Finding]:
         if not self._samples:
@@ -108,8 +116,25 @@ class ImuWatch:
             stamps=stamps,
             gyro=gyro @ turn,
             force=force @ turn,
+            gravity=self._gravity,
         )
         return check_motion(evidence, self._settings, last)
+
+    def _look_at_holes(self) -> Sequence[Finding]:
+        if len(self._samples) < 2:
+            return ()
+        holes, last = self._holes, max((item.core.stamp for item in self._matches), default=0)
+        behind = max(last - holes.last, 0)
+        silent = behind if behind > self._max_gap else 0
+        gaps = np.diff([sample.stamp for sample in self._samples]) / NANOSECONDS
+        finding = check_holes(
+            (holes.total + silent) / NANOSECONDS,
+            (max(last, holes.last) - holes.first) / NANOSECONDS,
+            max(holes.longest, silent) / NANOSECONDS,
+            float(np.percentile(gaps, 90.0)),
+            self._max_gap / NANOSECONDS,
+        )
+        return () if finding is None else (finding,)
 
     def _arrays(self) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
         """Stamps, rates and accelerations in time order, scaled, without absurd ones."""
@@ -126,3 +151,22 @@ class ImuWatch:
             settings.rate_scale * gyro[keep],
             settings.acceleration_scale * force[keep],
         )
+
+
+class _Holes:
+    """Sums of the holes between samples, ns; ``first`` and ``last`` are stamps."""
+
+    def __init__(self, max_gap: int) -> None:
+        self.total = self.longest = self.first = self.last = 0
+        self._max_gap = max_gap
+
+    def pass_by(self, stamp: int) -> None:
+        """The next sample."""
+        gap = stamp - self.last
+        if self.last == 0:
+            self.first = self.last = stamp
+        elif 0 < gap < NEAR:  # neither out of order nor a leap
+            self.last = stamp
+            if gap > self._max_gap:
+                self.total += gap
+                self.longest = max(self.longest, gap)

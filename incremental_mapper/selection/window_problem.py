@@ -12,7 +12,7 @@ from incremental_mapper.candidates.model import Candidate, Cluster
 from incremental_mapper.candidates.partitions import Element, group_elements
 from incremental_mapper.candidates.spans import ImuStamps
 from incremental_mapper.config import Config
-from incremental_mapper.frontend.dead_reckoning import State, predict
+from incremental_mapper.frontend.dead_reckoning import State, predict, turns_of
 from incremental_mapper.frontend.front_end import Prepared, PreparedFix
 from incremental_mapper.frontend.imu_preintegration import ImuSeries, level_rotation
 from incremental_mapper.graph.connectivity import Partitions
@@ -112,7 +112,12 @@ def pose_problem(
     inputs = window_inputs(items, state, series, orientation, parameters, config)
     partitions = Partitions(inputs.prepared, inputs.frontier)
     compensation = MotionCompensation(
-        inputs.head_state, series, parameters, max_gap, config.graph.motion_compensation
+        inputs.head_state,
+        series,
+        parameters,
+        max_gap,
+        config.graph.motion_compensation,
+        turns_of(items),
     )
     factors = FactorBuilder(inputs, partitions, compensation)
     return WindowProblem(

@@ -1,14 +1,16 @@
 """An IMU beside scan matching: unit of the rates, clock, axes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from imu_rig import evidence, quarter
+from imu_rig import GRAVITY, evidence, quarter
 
 from incremental_mapper.checks.finding import Severity
 from incremental_mapper.checks.imu_beside_lidar import check_motion
-from incremental_mapper.checks.imu_motion import QUARTER_TURNS, MotionEvidence, compare_axes
+from incremental_mapper.checks.imu_motion import QUARTER_TURNS, compare_axes
 from incremental_mapper.config import Imu
 
 
@@ -82,9 +84,7 @@ def test_axes_between_those_of_base_link_are_told_but_not_used():
 
 def test_where_gravity_is_right_the_lidars_may_be_wrong():
     good, turn = evidence(), quarter('y', 90)
-    tilted = MotionEvidence(
-        good.spans, good.turns @ turn.T, good.shifts @ turn.T, good.stamps, good.gyro, good.force
-    )
+    tilted = replace(good, turns=good.turns @ turn.T, shifts=good.shifts @ turn.T)
     found = only(check_motion(tilted, Imu()))
     assert (found.rule, found.severity) == ('imu_axes', Severity.WARNING)
     assert not found.changes
@@ -93,14 +93,19 @@ def test_where_gravity_is_right_the_lidars_may_be_wrong():
 def standing(force=1.0):
     good = evidence(force=force)
     noise = np.random.default_rng(0).normal(size=(2, *good.gyro.shape))
-    return MotionEvidence(
-        good.spans,
-        0.0003 * noise[0, : len(good.turns)],
-        0.001 * noise[1, : len(good.turns)],
-        good.stamps,
-        0.003 * noise[0],
-        force * (np.array([0.0, 0.0, 9.81]) + 0.05 * noise[1]),
+    return replace(
+        good,
+        turns=0.0003 * noise[0, : len(good.turns)],
+        shifts=0.001 * noise[1, : len(good.turns)],
+        gyro=0.003 * noise[0],
+        force=force * (np.array([0.0, 0.0, GRAVITY]) + 0.05 * noise[1]),
     )
+
+
+def test_without_gravity_nothing_is_upright_or_not():
+    good = evidence()
+    felt = replace(good, force=good.force - (0.0, 0.0, GRAVITY), gravity=0.0)
+    assert check_motion(felt, Imu(), True) == ()
 
 
 def test_a_car_that_stands_says_nothing_of_axes_and_clock():
@@ -125,7 +130,7 @@ def test_a_gyroscope_that_has_nothing_to_do_with_the_car_is_switched_off():
         (np.random.default_rng(0).normal(size=good.gyro.shape), 'imu_disagrees'),
         (np.zeros_like(good.gyro), 'imu_gyro_frozen'),
     ):
-        bad = MotionEvidence(good.spans, good.turns, good.shifts, good.stamps, gyro, good.force)
+        bad = replace(good, gyro=gyro)
         found = only(check_motion(bad, Imu()))
         assert (found.rule, found.settings) == (rule, {'imu': {'enabled': False}})
         assert found.changes

@@ -6,7 +6,13 @@ import pytest
 
 from incremental_mapper.candidates.model import CoreKind, CoreMeasurement
 from incremental_mapper.config import ImuSettings
-from incremental_mapper.frontend.dead_reckoning import State, predict, propagate
+from incremental_mapper.frontend.dead_reckoning import (
+    State,
+    Turns,
+    predict,
+    propagate,
+    turns_of,
+)
 from incremental_mapper.frontend.imu_preintegration import (
     EMPTY_SERIES,
     ImuSeries,
@@ -88,3 +94,51 @@ def test_rotations_that_are_made_of_each_other_for_hours_stay_rotations(with_odo
         state = State(stamp, pose, np.zeros(3), state.bias)
     rotation = pose.rotation().matrix()
     assert np.abs(rotation.T @ rotation - np.eye(3)).max() < 1e-12
+
+
+TURNING = Turns(np.array([-200, 0, 200], dtype=np.int64) * MS, np.tile([0.0, 0.0, 0.5], (3, 1)))
+
+
+def test_across_a_hole_the_car_goes_on_turning_as_the_matches_say():
+    start = standing(velocity=(10.0, 0.0, 0.0))
+    pushed = propagate(start, 200 * MS, series([], UP), PARAMETERS, MAX_GAP, TURNING)
+    assert pushed.pose.rotation().yaw() == pytest.approx(0.1)
+    assert pushed.pose.translation() == pytest.approx([20 * np.sin(0.1), 20 - 20 * np.cos(0.1), 0])
+    assert pushed.velocity == pytest.approx([10 * np.cos(0.1), 10 * np.sin(0.1), 0])
+    assert pushed.unseen == pytest.approx(0.2)
+
+
+def test_the_imu_is_used_on_both_sides_of_a_hole():
+    stamps = [*range(0, 100 * MS, 10 * MS), *range(400 * MS, 500 * MS, 10 * MS)]
+    pushed = moved(standing(), 500 * MS, series(stamps, UP + [2.0, 0.0, 0.0]))
+    # 90 ms to the last sample before the hole and 100 ms from the first one behind it.
+    assert pushed.velocity == pytest.approx([0.38, 0.0, 0.0], abs=1e-6)
+    assert pushed.unseen == pytest.approx(0.31)
+
+
+def test_a_covered_way_is_seen_in_full():
+    pushed = moved(standing(), 100 * MS, series(range(0, 100 * MS, 10 * MS), UP))
+    assert pushed.unseen == 0.0
+
+
+def test_far_from_any_match_nothing_is_known_of_turning():
+    assert not TURNING.between(600 * MS, 700 * MS).any()
+    assert TURNING.between(200 * MS, 300 * MS) == pytest.approx([0.0, 0.0, 0.5])
+
+
+def test_matches_tell_how_the_car_turns():
+    turn = gtsam.Pose3(gtsam.Rot3.Yaw(0.05), np.array([1.0, 0.0, 0.0]))
+    found = turns_of([scan(100 * MS, 1, turn), scan(200 * MS, 100 * MS, turn)])
+    assert found.stamps.tolist() == [50 * MS, 150 * MS]
+    np.testing.assert_allclose(found.rates, [[0, 0, 0.5], [0, 0, 0.5]], atol=1e-7)
+
+
+def test_without_an_imu_the_velocity_follows_the_matches():
+    items = [
+        scan(k * 100 * MS, (k - 1) * 100 * MS, gtsam.Pose3(gtsam.Rot3(), (0.5, 0, 0)))
+        for k in range(2, 12)
+    ]
+    start = State(100 * MS, gtsam.Pose3(), np.array([10.0, 0, 0]), gtsam.imuBias.ConstantBias())
+    poses = {('left', 100 * MS): gtsam.Pose3()}
+    states = predict(items, start, poses, series([], UP), PARAMETERS, MAX_GAP, velocity_known=True)
+    assert states[1100 * MS].velocity == pytest.approx([5.0, 0, 0], abs=0.2)
