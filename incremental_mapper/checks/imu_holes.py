@@ -4,7 +4,7 @@ from incremental_mapper.checks.finding import Finding, Severity
 
 MOST = 0.5
 """Share of the drive in holes, from which on the IMU does not do what it is there for. The drives
-here with an IMU of 84 to 119 Hz have 0, one with 10 Hz has 0.61."""
+here with 96 to 119 Hz have 0, the one with 10 Hz has 0.75."""
 SLOW = 0.5
 """Seconds between two samples up to which an IMU is slow, and not silent."""
 
