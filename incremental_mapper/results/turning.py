@@ -77,6 +77,7 @@ def turning(
         stamps=series.stamps,
         gyro=config.imu.rate_scale * series.gyro @ turn,
         force=config.imu.acceleration_scale * series.force @ turn,
+        gravity=config.preintegration.gravity,
     )
 
 
