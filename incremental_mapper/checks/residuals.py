@@ -27,6 +27,11 @@ HOPELESS = 15.0
 5 s in all cases above it, 0.09 m at the most in all below."""
 
 
+SMALL = {'gnss': 0.3}
+"""Metres of which nothing is said, by kind, however small the deviations that a receiver tells:
+fixes of RTK wander by as much between houses."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Residuals:
     """Residuals of the factors of one kind and one sensor, at the solution.
@@ -73,6 +78,8 @@ def _judge(group: Residuals, first: int) -> Finding | None:
         return None
     overall = float(np.median(group.squared))
     chosen = np.concatenate([pieces[index] for index in bad])
+    if np.median(group.metres[chosen]) < SMALL.get(group.kind, 0.0):
+        return None
     start, end = (
         (int(group.stamps[index]) - first) / NANOSECONDS for index in (chosen[0], chosen[-1])
     )

@@ -10,6 +10,8 @@ MOSTLY = 0.5
 leave out none; a receiver's fixes are often below the wanted status, and are told from all on."""
 FEW = 5
 """Messages that make a judgement."""
+LONG = 3.0
+"""Seconds of a recording after which every sensor has sent something."""
 SWITCHED_OFF = 'switched_off'
 """Reason of samples that the settings do not want."""
 REASONS = 3
@@ -37,23 +39,29 @@ class SensorUse:
     configured: bool = True
 
 
-def sensor_findings(sensors: Sequence[SensorUse]) -> list[Finding]:
+def sensor_findings(sensors: Sequence[SensorUse], seconds: float) -> list[Finding]:
     """Say which sensors are lost.
 
     Args:
         sensors: What became of every sensor that is configured or sent.
+        seconds: Of the recording; in a short one a receiver of 1 Hz may well have sent nothing.
 
     Returns:
         ``no_scan_used`` (an error), ``sensor_silent``, ``sensor_unused`` and
         ``sensor_mostly_unused``.
     """
     lidars = [item for item in sensors if item.kind == 'lidar']
-    others = [item for item in sensors if item.kind != 'lidar']
+    heard = [item for item in sensors if item.offered or seconds > LONG]
+    others = [item for item in heard if item.kind != 'lidar']
     found = []
     if sum(item.used for item in lidars) == 0:
         found.append(_no_scan(lidars))
     else:
-        found += [finding for item in lidars if (finding := _lidar(item)) is not None]
+        found += [
+            finding
+            for item in heard
+            if item.kind == 'lidar' and (finding := _lidar(item)) is not None
+        ]
     return [*found, *(finding for item in others if (finding := _other(item)) is not None)]
 
 

@@ -14,7 +14,13 @@ from incremental_mapper.cli import exit_status
 from incremental_mapper.config import Tree
 from incremental_mapper.datasets.open import read_truth
 from incremental_mapper.errors import ConfigError
-from incremental_mapper.evaluation.campaign import Plan, evaluate, prepare_out_dir, unfinished
+from incremental_mapper.evaluation.campaign import (
+    Plan,
+    evaluate,
+    flagged,
+    prepare_out_dir,
+    unfinished,
+)
 from incremental_mapper.evaluation.jobs import Job, Outcome, Status, plan_jobs
 from incremental_mapper.evaluation.record import Evaluation
 from incremental_mapper.evaluation.table_files import Reference, read_csv, write_tables
@@ -107,7 +113,10 @@ def add_parser(subparsers: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the command; 1 where a job failed. Raises MapperError where nothing can be run."""
+    """Run the command; 1 where a job failed or is not to be trusted.
+
+    Raises MapperError where nothing can be run.
+    """
     plan, reference = _plan(args), _reference(args.reference)
     todo = list(plan.jobs) if args.force else unfinished(plan.jobs)
     with _workers(args) as workers:
@@ -116,8 +125,8 @@ def run(args: argparse.Namespace) -> int:
     table = write_tables(evaluation, plan.by_motion, reference)
     print(plain_table(table, shutil.get_terminal_size((DEFAULT_WIDTH, 0)).columns))
     _write_report(plan.out_dir)
-    failed = sum(outcome.status is Status.FAILED for outcome in evaluation.outcomes)
-    return exit_status.FAILURE if failed else 0
+    failed = any(outcome.status is Status.FAILED for outcome in evaluation.outcomes)
+    return exit_status.FAILURE if failed or flagged(evaluation) else 0
 
 
 def _evaluate(plan: Plan, todo: Sequence[Job], workers: Workers) -> Evaluation:

@@ -6,13 +6,14 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
+from incremental_mapper.checks.finding import Severity
 from incremental_mapper.config import Tree
 from incremental_mapper.datasets.truth import read_truth
 from incremental_mapper.errors import OutputError
 from incremental_mapper.evaluation import cache
 from incremental_mapper.evaluation.jobs import Job, Outcome, Status, run_job
 from incremental_mapper.evaluation.map_quality import QualityJob, run_quality_job, stored_quality
-from incremental_mapper.evaluation.metrics import drive_metrics, motion_metrics
+from incremental_mapper.evaluation.metrics import drive_metrics, motion_metrics, unmended
 from incremental_mapper.evaluation.record import (
     RECORD_FILE,
     Evaluation,
@@ -245,7 +246,9 @@ def _remarks(evaluation: Evaluation, pieces: Mapping[str, Pieces]) -> list[str]:
         elif run.stats.get('rpe_translation_rmse_m') is None:
             lines.append(f'{sequence}: the truth covers fewer than two poses, so no errors')
     if pieces:
-        lines.append('components, distance to base map and plane variance: of whole drives only')
+        lines.append(
+            'components, distance to base map, plane variance and warnings: of whole drives only'
+        )
     for sequence, cut in pieces.items():
         seconds = {
             motion: sum(piece.seconds for piece in cut.segments if piece.motion is motion)
@@ -256,7 +259,7 @@ def _remarks(evaluation: Evaluation, pieces: Mapping[str, Pieces]) -> list[str]:
             f'{sequence}: cut by the {"truth" if cut.source == "truth" else f"{cut.source} run"} '
             f'into {", ".join(found) or "nothing, it is too short"}'
         )
-    return [*lines, *_verification(evaluation), *_failures(evaluation)]
+    return [*lines, *_verification(evaluation), *_findings(evaluation), *_failures(evaluation)]
 
 
 def _verification(evaluation: Evaluation) -> list[str]:
@@ -287,6 +290,43 @@ def _verification(evaluation: Evaluation) -> list[str]:
         f'windows (the same in {same}, worst {worst:.2f} %); {fast:.2f} ms against {direct:.2f} ms '
         'a candidate'
     ]
+
+
+def flagged(evaluation: Evaluation) -> list[Job]:
+    """The finished jobs whose numbers are not to be trusted: an error was found.
+
+    Args:
+        evaluation: What was run.
+    """
+    return [
+        outcome.job
+        for outcome in _finished(evaluation)
+        if any(
+            item['severity'] == Severity.ERROR for item in unmended(FinishedRun(outcome.job.folder))
+        )
+    ]
+
+
+def _findings(evaluation: Evaluation) -> list[str]:
+    """A line for every finding, errors last; strategies that share it stand in one."""
+    lines: dict[tuple[str, str, str], list[tuple[str, Mapping[str, str]]]] = {}
+    for outcome in _finished(evaluation):
+        for item in unmended(FinishedRun(outcome.job.folder)):
+            key = outcome.job.sequence, item['rule'], item['sensor']
+            lines.setdefault(key, []).append((outcome.job.strategy, item))
+    told = []
+    for (sequence, rule, sensor), found in lines.items():
+        worst = min((item for _, item in found), key=_rank)
+        strategies = ', '.join(strategy for strategy, _ in found)
+        subject = f'{sensor}: ' if sensor else ''
+        text = f'{worst["severity"]}: {sequence}, {strategies}: {subject}{worst["text"]} ({rule})'
+        told.append((-_rank(worst), text))
+    return [text for _, text in sorted(told, key=lambda pair: pair[0])]
+
+
+def _rank(item: Mapping[str, str]) -> int:
+    """Place of a finding among others, errors first."""
+    return int(item['severity'] != Severity.ERROR)
 
 
 def _failures(evaluation: Evaluation) -> list[str]:

@@ -4,8 +4,8 @@ They have the names of ``stats.json``, and are None where a run has no such numb
 
 Of a drive cut by motion, clusters and variables belong to the piece that their stamp lies in, a
 factor to that of its newest variable, a window to that of its middle, and a pair of poses to the
-piece that both lie in. The ATE is taken after the fit of the whole drive. The number of components
-and the quality of the map are those of whole drives only.
+piece that both lie in. The ATE is taken after the fit of the whole drive. The number of components,
+the quality of the map and findings are those of whole drives only.
 """
 
 from collections.abc import Iterable, Mapping
@@ -14,6 +14,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from incremental_mapper.checks.finding import Severity
 from incremental_mapper.evaluation.segments import Motion, Segment, segment_indices
 from incremental_mapper.geometry import transform_points
 from incremental_mapper.measurements import NANOSECONDS
@@ -49,6 +50,8 @@ OF_STATISTICS = (
     'windows',
 )
 OF_MAPS = ('map_distance_m', 'plane_variance_m2')
+FINDINGS = 'findings'
+"""Name of the number of findings that were not mended, errors among them."""
 
 
 def drive_metrics(run: FinishedRun, quality: Mapping[str, float | None]) -> Metrics:
@@ -62,9 +65,26 @@ def drive_metrics(run: FinishedRun, quality: Mapping[str, float | None]) -> Metr
     Raises:
         InputError: The run's ``stats.json`` cannot be read.
     """
-    return {name: run.stats.get(name) for name in OF_STATISTICS} | {
-        name: quality.get(name) for name in OF_MAPS
+    return {
+        **{name: run.stats.get(name) for name in OF_STATISTICS},
+        **{name: quality.get(name) for name in OF_MAPS},
+        FINDINGS: len(unmended(run)),
     }
+
+
+def unmended(run: FinishedRun) -> list[Mapping[str, str]]:
+    """What was found wrong with a run and was not put right, the worst first.
+
+    Args:
+        run: A finished run.
+
+    Returns:
+        Findings as ``stats.json`` has them; a run of an earlier version has none.
+
+    Raises:
+        InputError: The run's ``stats.json`` cannot be read.
+    """
+    return [item for item in run.stats.get('warnings', ()) if item['severity'] != Severity.MENDED]
 
 
 def motion_metrics(
@@ -90,7 +110,7 @@ def motion_metrics(
         pieces = [index for index, segment in enumerate(segments) if segment.motion is motion]
         if not pieces:
             continue
-        metrics: Metrics = dict.fromkeys((*OF_STATISTICS, *OF_MAPS))
+        metrics: Metrics = dict.fromkeys((*OF_STATISTICS, *OF_MAPS, FINDINGS))
         metrics |= {name: int(column[pieces].sum()) for name, column in counts.items()}
         if base_counts is not None:
             for name in ('vertices', 'factors'):

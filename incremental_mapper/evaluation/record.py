@@ -20,8 +20,9 @@
                 folder); status ('done', 'failed', or 'waiting' while it runs); error (one
                 line, or null); reused (nothing had to be run); metrics (numbers of the drive
                 by the names of ``rows``; null where there is none); by_motion (motion to such
-                numbers; empty without --by-motion); settings and versions (effective ones, from
-                stats.json; null unless done)
+                numbers; empty without --by-motion); findings (what was wrong, as in stats.json; a
+                run with an error among them has its numbers, and they are not to be trusted);
+                settings and versions (effective ones, from stats.json; null unless done)
 
 Paths are relative to the folder of ``evaluation.json``, inputs absolute. Each job's folder holds
 the files of a ``map`` run; ``truth.tum`` lies beside the folders of a sequence's strategies.
@@ -289,6 +290,7 @@ def _job(out_dir: Path, outcome: Outcome, found: Found) -> dict[str, Any]:
         'reused': outcome.reused,
         'metrics': found.metrics,
         'by_motion': found.by_motion,
+        'findings': stats.get('warnings', []),
         'settings': stats.get('settings'),
         'versions': stats.get('versions'),
     }

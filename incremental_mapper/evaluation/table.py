@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import TypeAlias
 
-from incremental_mapper.evaluation.metrics import Metrics
+from incremental_mapper.evaluation.metrics import FINDINGS, Metrics
 from incremental_mapper.evaluation.segments import Motion, motion_of_name
 
 NO_VALUE = '–'
@@ -75,6 +75,7 @@ FURTHER_ROWS = (
     Row('plane_variance_m2', 'Plane variance, cm²', 2, scale=1e4),
     Row('window_median_s', 'Time per window, ms', 0, scale=1e3),
     Row('real_time_factor', 'Real-time factor', 2, higher=True),
+    Row(FINDINGS, 'Warnings', 0, unranked=True),
 )
 """What stands beside them."""
 ROWS = (*PAPER_ROWS, *FURTHER_ROWS)

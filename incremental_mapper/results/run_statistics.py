@@ -100,14 +100,14 @@ class RunStatistics:
         """
         dropped = _all_drops(result.statistics.dropped, drops)
         known = [*findings, *result.findings]
+        seconds = result.statistics.drive_s
         # Whoever knows why a sensor is not used has said so.
         explained = {finding.sensor for finding in known}
         lost = [
             item
-            for item in sensor_findings(sensor_uses(result, dropped, drops))
+            for item in sensor_findings(sensor_uses(result, dropped, drops), seconds)
             if item.rule not in FOLLOWING or item.sensor not in explained
         ]
-        seconds = result.statistics.drive_s
         empty = empty_findings(map_points, len(result.scans), seconds)
         return cls(
             mapped=result.statistics,

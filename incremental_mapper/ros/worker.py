@@ -279,9 +279,9 @@ class Worker:
     @staticmethod
     def _told(command: Command, saved: Saved) -> Reply:
         """The answer to who wants a map saved: no success where it is not to be trusted."""
-        worst = saved.warnings[:1]
+        worst = [item for item in saved.warnings if item.severity is not Severity.MENDED][:1]
         failed = any(finding.severity is Severity.ERROR for finding in worst)
-        remark = ''.join(f'; {finding.titled()}' for finding in worst) if failed else ''
+        remark = ''.join(f'; {finding.titled()}' for finding in worst)
         return Reply(command.ticket, not failed, f'saved to {saved.folder}{remark}')
 
     def _save_quietly(self) -> None:

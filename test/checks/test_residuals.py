@@ -1,5 +1,7 @@
 """Which sensors a solved graph does not fit."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -53,3 +55,9 @@ def test_few_factors_tell_nothing():
 def test_the_bound_is_that_of_a_stretch():
     assert fit_findings([group(np.full(50, 0.99 * DOUBTFUL))], 0) == []
     assert len(fit_findings([group(np.full(50, 1.01 * DOUBTFUL))], 0)) == 1
+
+
+def test_fixes_that_are_off_by_little_are_not_told_of():
+    fixes = group(np.full(20, 2 * DOUBTFUL), 'gnss', 'gnss', 1.0)
+    assert len(fit_findings([fixes], 0)) == 1
+    assert fit_findings([replace(fixes, metres=np.full(20, 0.2))], 0) == []

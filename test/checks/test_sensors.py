@@ -11,7 +11,7 @@ GNSS = SensorUse('gnss', 'gnss', 5, 5)
 
 
 def rules(*sensors):
-    return {(item.rule, item.sensor): item for item in sensor_findings(sensors)}
+    return {(item.rule, item.sensor): item for item in sensor_findings(sensors, 60.0)}
 
 
 def test_sensors_that_are_used():
@@ -43,6 +43,11 @@ def test_what_the_settings_name_and_what_they_do_not():
     silent = replace(GNSS, offered=0, used=0)
     assert set(rules(LEFT, silent)) == {('sensor_silent', 'gnss')}
     assert rules(LEFT, replace(silent, configured=False)) == {}
+    assert sensor_findings([LEFT, silent], 0.5) == []
+
+
+def test_an_imu_that_is_switched_off_is_not_missed():
+    assert rules(LEFT, replace(IMU, used=0, dropped={'switched_off': 500})) == {}
 
 
 def test_a_few_lost_scans_are_no_matter():

@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -312,6 +313,32 @@ def test_force_runs_everything_again(copy, inputs, config, capsys):
     again = call(capsys, inputs, copy, '--config', config, '--force', strategies=('base',))
     assert again.status == 0
     assert again.rerun() == {('monday_drive', 'base'), ('tuesday_drive', 'base')}
+
+
+def test_findings_are_counted_and_an_error_flags_its_run(copy, inputs, config, capsys):
+    wrong = {'severity': 'error', 'rule': 'lidars_disagree', 'sensor': 'left', 'text': 'turned'}
+    doubtful = {'severity': 'warning', 'rule': 'sensor_silent', 'sensor': 'imu', 'text': 'silent'}
+    mended = {'severity': 'mended', 'rule': 'imu_in_g', 'sensor': 'imu', 'text': 'in g'}
+    path = copy / 'monday_drive' / 'base' / 'stats.json'
+    stats = json.loads(path.read_text())
+    stats['warnings'] = [wrong, doubtful, mended]
+    path.write_text(json.dumps(stats))
+    again = call(capsys, inputs, copy, '--config', config)
+    assert again.status == 1 and again.rerun() == set()
+    job = again.jobs['monday_drive', 'base']
+    assert job['status'] == 'done' and job['metrics']['clusters'] > 0
+    assert job['metrics']['findings'] == 2
+    assert [item['rule'] for item in job['findings']] == [
+        'lidars_disagree',
+        'sensor_silent',
+        'imu_in_g',
+    ]
+    told = [line for line in again.out.splitlines() if 'monday_drive, base: ' in line]
+    assert told == [
+        'warning: monday_drive, base: imu: silent (sensor_silent)',
+        'error: monday_drive, base: left: turned (lidars_disagree)',
+    ]
+    assert re.search(r'^Warnings +2', again.out, flags=re.MULTILINE)
 
 
 def test_broken_input_is_reported_and_the_others_finish(inputs, config, tmp_path, capsys):

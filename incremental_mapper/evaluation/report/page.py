@@ -117,6 +117,7 @@ def _section(
             for name, strategy, reason in words.failures(evaluation)
             if name == sequence.name
         ],
+        'flagged': words.flagged(sequence),
     }
 
 

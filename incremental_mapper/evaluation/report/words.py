@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from incremental_mapper.checks.finding import Severity
 from incremental_mapper.evaluation.metrics import Metrics
 from incremental_mapper.evaluation.record import METHOD, RecordedEvaluation, RecordedSequence
 from incremental_mapper.evaluation.report.drawings import drive_seconds
@@ -109,6 +110,17 @@ def failures(evaluation: RecordedEvaluation) -> list[tuple[str, str, str]]:
                 reason = str(job['error'] or job['status'])
                 found.setdefault((sequence.name, reason), []).append(strategy)
     return [(name, ', '.join(names), reason) for (name, reason), names in found.items()]
+
+
+def flagged(sequence: RecordedSequence) -> list[tuple[str, str]]:
+    """Strategies and findings of a sequence's runs that are not to be trusted."""
+    found: dict[str, list[str]] = {}
+    for strategy, job in sequence.jobs.items():
+        for item in job.get('findings') or ():
+            if item['severity'] == Severity.ERROR:
+                subject = f'{item["sensor"]}: ' if item['sensor'] else ''
+                found.setdefault(f'{subject}{item["text"]}', []).append(strategy)
+    return [(', '.join(names), text) for text, names in found.items()]
 
 
 def _errors(own: Metrics, base: Metrics) -> list[str]:
