@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from incremental_mapper.checks.finding import Severity
-from incremental_mapper.checks.residuals import DOUBTFUL, HOPELESS, Residuals, fit_findings
+from incremental_mapper.checks.residuals import DOUBTFUL, DOUBTFUL_SPAN, Residuals, fit_findings
 
 S = 1_000_000_000
 
@@ -43,7 +43,7 @@ def test_a_bad_stretch_is_told_with_its_time():
     ('kind', 'word'), [('gnss', 'gnss.time_offset'), ('imu', 'imu.T_base_sensor')]
 )
 def test_what_never_fits_makes_the_map_wrong(kind, word):
-    (found,) = fit_findings([group(np.full(20, 4 * HOPELESS), kind, kind, 1.0)], 100 * S)
+    (found,) = fit_findings([group(np.full(20, 2 * DOUBTFUL_SPAN), kind, kind, 1.0)], 100 * S)
     assert found.severity is Severity.ERROR
     assert 'all along' in found.text and word in found.remedy
 
