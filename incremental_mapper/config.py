@@ -22,6 +22,8 @@ Tree: TypeAlias = dict[str, Any]
 
 MOST_SUBMAP_SCANS = 200
 """Upper limit of ``mom.submap_scans``; so many scans are kept for scoring."""
+MOST_OFFSET = 2.0**32
+"""Upper limit of ``time_offset`` in seconds: stamps of ROS hold 32 bits of them."""
 
 
 class Strategy(StrEnum):
@@ -63,8 +65,9 @@ class Sensor(Section):
     """Topic of the bag or the node's input; empty picks the only topic of the right type."""
     T_base_sensor: Transform = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
     """Pose of the sensor in base_link: x, y, z, qx, qy, qz, qw, or a row-major 3x4 matrix."""
-    time_offset: float = Field(default=0.0, ge=-10.0, le=10.0, allow_inf_nan=False)
-    """Seconds added to every header stamp of this sensor."""
+    time_offset: float = Field(default=0.0, ge=-MOST_OFFSET, le=MOST_OFFSET, allow_inf_nan=False)
+    """Seconds added to every header stamp of this sensor; as a double it is exact to 0.5
+    microseconds even where the clock counts from power-up."""
 
     def matrix(self) -> NDArray[np.float64]:
         """T_base_sensor as a (4, 4) homogeneous matrix."""

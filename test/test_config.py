@@ -86,7 +86,8 @@ def test_unknown_name_is_rejected_with_the_closest_known_one(tree, message):
         ({'fixes': {'min_sigma': float('inf')}}, 'fixes.min_sigma', 'inf'),
         ({'mom': {'radius': 'wide'}}, 'mom.radius', "'wide'"),
         ({'selection': {'max_candidates': 0}}, 'selection.max_candidates', '0'),
-        ({'imu': {'time_offset': 11}}, 'imu.time_offset', '11'),
+        ({'imu': {'time_offset': 1e10}}, 'imu.time_offset', '10000000000.0'),
+        ({'imu': {'time_offset': float('nan')}}, 'imu.time_offset', 'nan'),
     ],
 )
 def test_value_out_of_range_is_rejected_with_name_and_value(tree, name, value):

@@ -140,7 +140,7 @@ def _write(folder: Path, recording: Recording, progress: bool) -> tuple[Counter[
     written: Counter[str] = Counter()
     drops = recording.drops.copy()
     records = tqdm(
-        recording.order(),
+        recording.order({}),
         total=sum(len(stream.stamps) for stream in recording.streams.values()),
         desc='convert',
         unit='msg',

@@ -1,5 +1,6 @@
 """ROS bags as a source of measurements: rosbag2 (MCAP, SQLite) and ROS 1."""
 
+import heapq
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -15,6 +16,7 @@ from incremental_mapper.config import Tree
 from incremental_mapper.datasets.bag_files import Topic, bag_files, open_bag
 from incremental_mapper.datasets.bag_recovery import BagReader
 from incremental_mapper.datasets.bag_samples import read_span, sample_bag
+from incremental_mapper.datasets.clock_look import ClockLook, check_clocks
 from incremental_mapper.datasets.extrinsics import find_extrinsics
 from incremental_mapper.datasets.first_look import (
     TopicLook,
@@ -34,7 +36,6 @@ from incremental_mapper.datasets.sampling import SamplePlan, SensorKind, SensorS
 from incremental_mapper.datasets.sensor_settings import (
     extrinsics_of,
     listed_lidars,
-    offset_nanoseconds,
 )
 from incremental_mapper.datasets.source import SourceInfo
 from incremental_mapper.datasets.static_transforms import STATIC_TOPIC
@@ -108,6 +109,12 @@ class BagSource:
             )
             self._begin, self._end = reader.start_time, reader.end_time
             lidars = self._looked_at(looks)
+            self._sensors: dict[str, dict[str | None, str]] = {}
+            for name, topic in self._choice.topics.items():
+                frame = topic.frame if isinstance(topic, FrameTopic) else None
+                self._sensors.setdefault(topic.name, {})[frame] = name
+            clock_look = ClockLook(reader, self._sensors)
+            clocks = check_clocks(clock_look.clocks, merge(own, tree), list(self._choice.topics))
             notes = [
                 *self._choice.notes,
                 *extrinsics.notes,
@@ -122,24 +129,21 @@ class BagSource:
                     for name, frame, look in lidars
                     if look.alternating
                 ),
+                *clocks.findings,
             ]
-        self._sensors: dict[str, dict[str | None, str]] = {}
-        for name, topic in self._choice.topics.items():
-            frame = topic.frame if isinstance(topic, FrameTopic) else None
-            self._sensors.setdefault(topic.name, {})[frame] = name
-        known = {**config.lidars, 'imu': config.imu, 'gnss': config.gnss}
-        self._offsets = {
-            name: offset_nanoseconds(known[name]) if name in known else 0
-            for name in self._choice.topics
-        }
+        self._offsets = clocks.offsets
+        self._order_shifts = clock_look.order_shifts(clocks.offsets)
         self._info = SourceInfo(
             path=path,
             kind='ROS 1 bag' if self._files[0].suffix == '.bag' else 'ROS 2 bag',
             counts={name: topic.count for name, topic in self._choice.topics.items()},
             duration=max(self._end - self._begin, 0) / NANOSECONDS,
             settings=merge(
-                merge(own, _topic_settings(self._choice, list(config.lidars))),
-                extrinsics.settings,
+                merge(
+                    merge(own, _topic_settings(self._choice, list(config.lidars))),
+                    extrinsics.settings,
+                ),
+                clocks.settings,
             ),
             notes=tuple(notes),
             findings=tuple(findings),
@@ -293,8 +297,7 @@ class BagSource:
 
         ``left`` is how many messages of each sensor are still to come.
         """
-        connections = [c for c in reader.connections if c.topic in self._sensors]
-        messages = reader.messages(connections=connections)
+        messages = self._in_turn(reader)
         while True:
             try:
                 connection, _, data = next(messages)
@@ -308,6 +311,20 @@ class BagSource:
                 break
             yield connection.topic, connection.msgtype, data
         self._drops.update({(name, 'damaged'): n for name, n in left.items() if n > 0})
+
+    def _in_turn(self, reader: BagReader) -> Iterator[tuple[Any, int, bytes]]:
+        """Messages as they were logged, or would have been had all sensors had one clock."""
+        shifts: dict[int, list[Any]] = {}
+        for connection in reader.connections:
+            if connection.topic in self._sensors:
+                names = self._sensors[connection.topic].values()
+                shift = max((self._order_shifts.get(name, 0) for name in names), key=abs)
+                shifts.setdefault(shift, []).append(connection)
+        parts = [
+            _shifted(reader.messages(connections=connections), shift)
+            for shift, connections in shifts.items()
+        ]
+        return parts[0] if len(parts) == 1 else heapq.merge(*parts, key=lambda item: item[1])
 
     def _converters(self) -> dict[str, Converter]:
         makers: dict[str, Maker] = {'imu': imu_from_message, 'gnss': fix_from_message}
@@ -336,6 +353,14 @@ class BagSource:
         table = np.array(rows)[order]
         quaternions = Rotation.from_quat(table[:, 3:]).as_quat()
         return Trajectory(unique, table[:, :3], quaternions)
+
+
+def _shifted(
+    messages: Iterator[tuple[Any, int, bytes]], shift: int
+) -> Iterator[tuple[Any, int, bytes]]:
+    """Messages with their record times moved (ns)."""
+    for connection, logged, data in messages:
+        yield connection, logged + shift, data
 
 
 def _refuse_parts(path: Path, choice: TopicChoice, looks: Mapping[str, TopicLook]) -> None:

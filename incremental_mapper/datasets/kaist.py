@@ -1,7 +1,7 @@
 """KAIST Complex Urban folders as a source of measurements."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from incremental_mapper.config import Config, Sensor, Tree
+from incremental_mapper.checks.sensor_clocks import SensorClock
+from incremental_mapper.config import Tree
+from incremental_mapper.datasets.clock_look import check_clocks
 from incremental_mapper.datasets.kaist_files import (
     LIDARS,
     Recording,
@@ -32,7 +34,6 @@ from incremental_mapper.datasets.sampling import (
 from incremental_mapper.datasets.sensor_settings import (
     extrinsics_of,
     listed_lidars,
-    offset_nanoseconds,
 )
 from incremental_mapper.datasets.source import SourceInfo
 from incremental_mapper.datasets.truth import find_truth, truth_file
@@ -46,7 +47,7 @@ from incremental_mapper.measurements import (
     make_imu,
     make_scan,
 )
-from incremental_mapper.settings import make_config, merge
+from incremental_mapper.settings import merge
 from incremental_mapper.trajectory import Trajectory
 
 _KINDS = {'imu': SensorKind.IMU, 'gnss': SensorKind.GNSS}
@@ -67,7 +68,8 @@ class KaistSource:
         self._calibration = 'nowhere: identity' if bare else 'calibration/'
         used = _choose(self._recording, listed_lidars(tree))
         own = extrinsic_settings(self._recording, used)
-        self._sensors = _sensors(make_config(merge(own, tree)), used)
+        clocks = check_clocks(self._clocks, merge(own, tree), used)
+        self._offsets = clocks.offsets
         self._late_drops: Drops = Counter()
         self._remarks = Remarks()
         first, last = self._recording.span()
@@ -76,8 +78,9 @@ class KaistSource:
             kind='folder of scans' if bare else 'KAIST folder',
             counts={name: len(self._recording.streams[name].stamps) for name in used},
             duration=(last - first) / NANOSECONDS,
-            settings=own,
+            settings=merge(own, clocks.settings),
             notes=self._recording.notes,
+            findings=clocks.findings,
         )
 
     @property
@@ -96,13 +99,12 @@ class KaistSource:
         """All usable measurements by stamp; clouds are read when their turn comes."""
         self._late_drops = Counter()
         self._remarks = Remarks()
-        for stamp, sensor, index in self._recording.order():
-            if sensor not in self._sensors:
+        for stamp, sensor, index in self._recording.order(self._offsets):
+            if sensor not in self._offsets:
                 continue
-            shifted = stamp + offset_nanoseconds(self._sensors[sensor])
             try:
                 record = self._recording.streams[sensor].load(index)
-                measurement = _measurement(shifted, sensor, record)
+                measurement = _measurement(stamp, sensor, record)
             except MeasurementError as error:
                 self._late_drops[sensor, error.reason] += 1
                 continue
@@ -114,11 +116,11 @@ class KaistSource:
         streams = self._recording.streams
         gnss = streams.get('gnss')
         bounds = spans(*self._recording.span(), plan, None if gnss is None else gnss.stamps)
-        return tuple(self._sample(plan, name, bounds) for name in self._sensors)
+        return tuple(self._sample(plan, name, bounds) for name in self._offsets)
 
     def _sample(self, plan: SamplePlan, sensor: str, bounds: list[tuple[int, int]]) -> SensorSample:
         stream = self._recording.streams[sensor]
-        lidars = [name for name in self._sensors if name in LIDARS]
+        lidars = [name for name in self._offsets if name in LIDARS]
         given = extrinsics_of(self._given, sensor, lidars) is not None
         maker = SampleMaker(
             clouds_of_each(bounds, plan),
@@ -128,7 +130,7 @@ class KaistSource:
             origin='the settings' if given else self._calibration,
             recorded=stream.stamps,
         )
-        offset = offset_nanoseconds(self._sensors[sensor])
+        offset = self._offsets[sensor]
         wanted = [
             (block, index)
             for block, (start, stop) in enumerate(bounds)
@@ -151,7 +153,7 @@ class KaistSource:
     def scans(self, sensor: str, start: int, stop: int) -> Iterator[LidarScan]:
         """See ``Sampled``; the stamps of the files stand for the times of recording."""
         stream = self._recording.streams[sensor]
-        offset = offset_nanoseconds(self._sensors[sensor])
+        offset = self._offsets[sensor]
         for index in range(*np.searchsorted(stream.stamps, [start, stop])):
             try:
                 stamp = int(stream.stamps[index]) + offset
@@ -172,6 +174,19 @@ class KaistSource:
 
     def _truth_folders(self) -> list[Path]:
         return [self._info.path, self._info.path / 'sensor_data']
+
+    def _clocks(self, offsets: Mapping[str, int], chosen: Sequence[str]) -> list[SensorClock]:
+        """Stamps of the sensors in use; nothing tells when the records were made."""
+        return [
+            SensorClock(
+                name,
+                self._recording.streams[name].stamps + offset,
+                None,
+                offset,
+                name in chosen,
+            )
+            for name, offset in offsets.items()
+        ]
 
 
 def extrinsic_settings(recording: Recording, used: list[str]) -> Tree:
@@ -209,11 +224,6 @@ def _choose(recording: Recording, listed: list[str] | None) -> list[str]:
             f'{" and ".join(recording.lidars)}'
         )
     return used
-
-
-def _sensors(config: Config, used: list[str]) -> dict[str, Sensor]:
-    known = {**config.lidars, 'imu': config.imu, 'gnss': config.gnss}
-    return {name: known[name] for name in used}
 
 
 def _measurement(stamp: int, sensor: str, record: NDArray[np.floating]) -> Measurement:

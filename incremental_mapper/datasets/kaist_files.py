@@ -93,10 +93,15 @@ class Recording:
         """Names of the LiDARs that are there."""
         return [name for name in LIDARS if name in self.streams]
 
-    def order(self) -> Iterator[tuple[int, str, int]]:
-        """(stamp, sensor, index into the sensor's stream) of every record, by stamp."""
+    def order(self, offsets: Mapping[str, int]) -> Iterator[tuple[int, str, int]]:
+        """(stamp, sensor, index into the sensor's stream) of every record, by stamp.
+
+        ``offsets`` are nanoseconds that are added to the stamps of a sensor.
+        """
         names = list(self.streams)
-        stamps = np.concatenate([self.streams[name].stamps for name in names])
+        stamps = np.concatenate(
+            [self.streams[name].stamps + offsets.get(name, 0) for name in names]
+        )
         owners = np.repeat(
             np.arange(len(names)), [len(self.streams[name].stamps) for name in names]
         )

@@ -87,7 +87,7 @@ def test_unknown_section_with_the_name_that_was_meant(run_map, light_drive, sett
         ('odometry:\n  sigma_rotation: 0\n', 'odometry.sigma_rotation', '0'),
         ('odometry:\n  method: icp\n', 'odometry.method', "'icp'"),
         ('mom:\n  radius: wide\n', 'mom.radius', "'wide'"),
-        ('imu:\n  time_offset: 100\n', 'imu.time_offset', '100'),
+        ('imu:\n  time_offset: 1.0e+10\n', 'imu.time_offset', '10000000000.0'),
         ('graph:\n  lag: null\n', 'graph.lag', 'None'),
     ],
 )

@@ -1,0 +1,198 @@
+"""A look at the clocks of a bag: some messages of each sensor, first, last and in between."""
+
+import struct
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from incremental_mapper.checks.clocks import clock_findings
+from incremental_mapper.checks.finding import Finding, Severity
+from incremental_mapper.checks.sensor_clocks import NOT_LIDARS, SensorClock
+from incremental_mapper.config import Tree
+from incremental_mapper.datasets.bag_recovery import BagReader
+from incremental_mapper.datasets.message_conversion import scan_from_message
+from incremental_mapper.datasets.record_times import record_times
+from incremental_mapper.datasets.sensor_settings import offset_nanoseconds
+from incremental_mapper.datasets.topics import CLOUD
+from incremental_mapper.measurements import NANOSECONDS
+from incremental_mapper.settings import make_config, merge
+
+PLACES = 9
+"""Places in the recording where a message of each sensor is read."""
+AN_END = 3
+"""First, and last, messages of each sensor that are read: one of them may be stray."""
+_IN_TURN = NANOSECONDS // 5
+"""Nanoseconds by which messages may come out of turn: half of what a window waits for them."""
+_ALL = 2000
+"""Messages that are read of a bag without an index, from its beginning on."""
+
+Logged: TypeAlias = tuple[Any, int, bytes]
+"""A connection of the bag, a record time in nanoseconds, and a message as it lies in the bag."""
+
+
+@dataclass(frozen=True, slots=True)
+class CheckedClocks:
+    """What the clocks of an input show.
+
+    Attributes:
+        offsets: nanoseconds to add to the stamps of each sensor, mended ones included.
+        settings: the mended offsets as a tree of settings.
+        findings: what is wrong.
+    """
+
+    offsets: dict[str, int]
+    settings: Tree
+    findings: tuple[Finding, ...]
+
+
+def check_clocks(
+    clocks: Callable[[Mapping[str, int], Sequence[str]], Sequence[SensorClock]],
+    tree: Mapping[str, Any],
+    sensors: Sequence[str],
+) -> CheckedClocks:
+    """Hold the clocks of an input against each other, and mend what is certain.
+
+    Args:
+        clocks: makes the evidence of the offsets in force (ns) and the sensors whose are set.
+        tree: the settings; offsets that they name stay as they are.
+        sensors: names of all sensors of the input.
+    """
+    config = make_config(tree)
+    known = {**config.lidars, 'imu': config.imu, 'gnss': config.gnss}
+    sections = {**dict(tree.get('lidars') or {}), **{k: tree.get(k) for k in NOT_LIDARS}}
+    chosen = [name for name in sensors if 'time_offset' in (sections.get(name) or {})]
+    offsets = {name: offset_nanoseconds(known[name]) if name in known else 0 for name in sensors}
+    findings = clock_findings(clocks(offsets, chosen))
+    settings: Tree = {}
+    for finding in findings:
+        if finding.severity is Severity.MENDED:
+            settings = merge(settings, finding.settings)
+            mended = make_config(finding.settings)
+            sensor = {**mended.lidars, 'imu': mended.imu, 'gnss': mended.gnss}[finding.sensor]
+            offsets[finding.sensor] = offset_nanoseconds(sensor)
+    return CheckedClocks(offsets, settings, findings)
+
+
+class ClockLook:
+    """Reads headers of a bag's sensors; ``unstamped`` has those whose stamps are all zero.
+
+    ``sensors`` are the topics' sensors by frame_id, None where the topic is one sensor's.
+    """
+
+    def __init__(self, reader: BagReader, sensors: Mapping[str, Mapping[str | None, str]]) -> None:
+        self._reader = reader
+        self._sensors = sensors
+        self._pairs: dict[str, list[tuple[int, int]]] = {}
+        self._leads: dict[str, int] = {}
+        self.times: dict[str, NDArray[np.int64]] = {}
+        self.unstamped: dict[str, int] = {}
+        self._look()
+
+    def clocks(self, offsets: Mapping[str, int], chosen: Sequence[str]) -> list[SensorClock]:
+        """What was read, with the offsets (ns) added; ``chosen`` are sensors whose are set."""
+        made = []
+        for sensor, pairs in self._pairs.items():
+            table = np.array(sorted(set(pairs)), dtype=np.int64)
+            offset = offsets.get(sensor, 0)
+            made.append(
+                SensorClock(
+                    sensor,
+                    table[:, 1] + offset,
+                    table[:, 0],
+                    offset,
+                    sensor in chosen,
+                    self._leads.get(sensor, 0),
+                )
+            )
+        return made
+
+    def order_shifts(self, offsets: Mapping[str, int]) -> dict[str, int]:
+        """Nanoseconds to add to the record times of a sensor so that it takes its turn.
+
+        Where somebody wrote the stamps in place of the record times, the sensors do not take turns
+        as they did: one whose clock is an hour ahead comes after all the others. ``offsets`` are
+        what is added to the stamps.
+        """
+        shifts: dict[str, int] = {}
+        if len(self.times) < len(self._sensors):
+            return shifts  # without an index the file can be read from end to end only
+        for sensor, pairs in self._pairs.items():
+            lag = int(np.median([received - stamp for received, stamp in pairs]))
+            if abs(offsets[sensor]) > _IN_TURN and abs(lag) < _IN_TURN:
+                shifts[sensor] = offsets[sensor]
+        return shifts
+
+    def _look(self) -> None:
+        self.times = record_times(self._reader, list(self._sensors))
+        if len(self.times) < len(self._sensors):
+            self._take(self._messages(list(self._sensors), None), _ALL)
+            return
+        whole = np.sort(np.concatenate(list(self.times.values())))
+        if not len(whole):
+            return
+        places = whole[np.linspace(0, len(whole) - 1, PLACES).astype(int)]
+        for topic, times in self.times.items():
+            if not len(times):
+                continue
+            self._take(self._messages([topic], int(times[0])), AN_END)
+            late = max(len(times) - AN_END, 0)
+            for index in np.unique(np.searchsorted(times, places)):
+                if AN_END <= index < late:
+                    self._take(self._messages([topic], int(times[index])), 1)
+            self._take(self._messages([topic], int(times[late])), AN_END)
+
+    def _messages(
+        self, topics: Sequence[str], start: int | None
+    ) -> Iterator[tuple[Any, int, bytes]]:
+        connections = [c for c in self._reader.connections if c.topic in topics]
+        messages = self._reader.messages(connections=connections, start=start)
+        while True:
+            # Damage is counted when its turn comes.
+            try:
+                yield next(messages)
+            except Exception:
+                return
+
+    def _take(self, messages: Iterator[Logged], most: int) -> None:
+        for _, (connection, received, data) in zip(range(most), messages, strict=False):
+            try:
+                stamp, frame = peek_header(data, hasattr(connection.owner, 'indexes'))
+            except (struct.error, UnicodeDecodeError):
+                continue
+            by_frame = self._sensors[connection.topic]
+            sensor = by_frame.get(None) or by_frame.get(frame)
+            if sensor is None:
+                continue
+            if stamp <= 0:
+                self.unstamped[sensor] = self.unstamped.get(sensor, 0) + 1
+                continue
+            self._pairs.setdefault(sensor, []).append((received, stamp))
+            if sensor not in self._leads:
+                self._leads[sensor] = self._lead(connection.msgtype, data)
+
+    def _lead(self, kind: str, data: bytes) -> int:
+        """Nanoseconds from the stamp of a cloud to its last point, 0 where it does not tell."""
+        if kind != CLOUD:
+            return 0
+        try:
+            times = scan_from_message(self._reader.deserialize(data, kind), 'cloud').point_times
+        except Exception:
+            return 0
+        return 0 if times is None else max(round(float(times.max()) * NANOSECONDS), 0)
+
+
+def peek_header(data: bytes, ros1: bool) -> tuple[int, str]:
+    """Read stamp (ns) and frame_id of a message that begins with a header, as it lies in a bag.
+
+    Raises:
+        struct.error: it is too short.
+        UnicodeDecodeError: the frame_id is no text.
+    """
+    # ROS 1 has a number before the stamp, CDR four bytes of which the second tells the order.
+    order = '<' if ros1 or data[1:2] in (b'\x01', b'\x03') else '>'
+    seconds, nanoseconds, length = struct.unpack_from(f'{order}iII', data, 4)
+    frame = bytes(data[16 : 16 + length]).rstrip(b'\0').decode()
+    return seconds * NANOSECONDS + nanoseconds, frame
