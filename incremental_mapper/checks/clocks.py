@@ -84,11 +84,12 @@ class _Group:
         return [lag.clock.sensor for lag in self.lags]
 
 
-def clock_findings(clocks: Sequence[SensorClock]) -> tuple[Finding, ...]:
+def clock_findings(clocks: Sequence[SensorClock], by_spans: bool = True) -> tuple[Finding, ...]:
     """Find sensors on another clock than the rest.
 
     Args:
         clocks: some stamps of every sensor, spread over the recording.
+        by_spans: whether first and last stamps may tell where record times do not.
 
     Returns:
         ``clock_offset`` (mended where the number is certain, else told), ``clock_step``,
@@ -97,7 +98,7 @@ def clock_findings(clocks: Sequence[SensorClock]) -> tuple[Finding, ...]:
     clocks = [clock for clock in clocks if len(clock.stamps)]
     lags = _lags(clocks)
     if lags is None:
-        return span_findings(clocks)
+        return span_findings(clocks) if by_spans else ()
     steps = _steps(lags)
     stepping = {step.sensor for step in steps}
     steady = [lag for lag in lags if lag.clock.sensor not in stepping]

@@ -22,11 +22,12 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 
+from incremental_mapper.config import Tree
 from incremental_mapper.errors import ConfigError, MapperError
 from incremental_mapper.mapping.load_shedding import NO_SHEDDING
 from incremental_mapper.ros.arguments import read_own_arguments
 from incremental_mapper.ros.health import Health
-from incremental_mapper.ros.inbox import Command, Deadline, Order
+from incremental_mapper.ros.inbox import Command, Deadline, Order, Renewal
 from incremental_mapper.ros.known_findings import KnownFindings
 from incremental_mapper.ros.parameters import NodeParameters
 from incremental_mapper.ros.programs import NODE_NAME
@@ -41,6 +42,7 @@ from incremental_mapper.ros.updates import (
     WindowUpdate,
 )
 from incremental_mapper.ros.worker import Worker
+from incremental_mapper.settings import merge
 
 TICK = 0.1
 """Seconds between two looks at what is due, and the longest wait for a signal."""
@@ -174,7 +176,20 @@ class MapperNode:
             else:
                 self._logger.warning(update.message)
 
+    def _look_at_clocks(self) -> None:
+        """Tell what the clocks show; where that mends them, a new map begins."""
+        found = self._inputs.findings()
+        self._findings.add(item for item in found if not item.changes)
+        mended = tuple(item for item in found if item.changes)
+        if mended:
+            settings: Tree = {}
+            for item in mended:
+                settings = merge(settings, item.settings)
+            reason = '; '.join(item.line() for item in mended)
+            self._worker.inbox.put(Renewal(settings, reason, mended))
+
     def _on_tick(self) -> None:
+        self._look_at_clocks()
         self._worker.graph_span = self.parameters.config.graph.markers_span
         self._outputs.tick()
         overloaded = self._worker.inbox.shedding() != NO_SHEDDING

@@ -11,6 +11,7 @@ from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu, NavSatFix, PointCloud2
 
+from incremental_mapper.checks.finding import Finding
 from incremental_mapper.config import Config, Sensor
 from incremental_mapper.datasets.message_conversion import (
     describe_times,
@@ -21,6 +22,7 @@ from incremental_mapper.datasets.message_conversion import (
 from incremental_mapper.datasets.sensor_settings import offset_nanoseconds
 from incremental_mapper.errors import MeasurementError
 from incremental_mapper.measurements import NANOSECONDS, Drops, Measurement
+from incremental_mapper.ros.clock_log import ClockLog
 
 IMU, GNSS = 'imu', 'gnss'
 
@@ -76,6 +78,8 @@ class Inputs:
         self._counted: Counter[str] = Counter()
         self._since = time.monotonic()
         self._offsets: dict[str, int] = {}
+        sensors = {**config.lidars, IMU: config.imu, GNSS: config.gnss}
+        self._clocks = ClockLog(tuple(name for name, item in sensors.items() if item.time_offset))
         self._subscribed: list[_Subscribed] = []
         for name, lidar in config.lidars.items():
             self._subscribe(name, lidar, f'points_{name}', CLOUDS)
@@ -104,9 +108,14 @@ class Inputs:
         newest = max(stamps.values(), default=0)
         return {name: (newest - stamp) / NANOSECONDS for name, stamp in stamps.items()}
 
+    def findings(self) -> tuple[Finding, ...]:
+        """What the sensors' clocks show against the times of receipt since the last call."""
+        return self._clocks.findings(self._offsets)
+
     def restart(self, config: Config) -> None:
         """Forget the stamps of the map before; ``config`` are the settings of the new one."""
         self._newest = {}
+        self._clocks.restart()
         sensors = {**config.lidars, IMU: config.imu, GNSS: config.gnss}
         self._offsets = {name: offset_nanoseconds(sensor) for name, sensor in sensors.items()}
 
@@ -151,7 +160,7 @@ class Inputs:
         batch.sort(key=lambda arrived: arrived[2].get('received_timestamp') or 0)
         for place, message, about in batch:
             self._count_lost(place.name, about.get('publication_sequence_number') or 0)
-            self._on_message(place, message)
+            self._on_message(place, message, about.get('received_timestamp') or time.time_ns())
 
     def _count_lost(self, name: str, number: int) -> None:
         """Count what is missing between a message's number and the one before it."""
@@ -161,7 +170,7 @@ class Inputs:
         if number > before + 1 and self._node.count_publishers(self.topics[name]) == 1:
             self.lost[name] += number - before - 1
 
-    def _on_message(self, place: _Subscribed, message: Any) -> None:
+    def _on_message(self, place: _Subscribed, message: Any, received: int) -> None:
         name = place.name
         self.received[name] += 1
         if self.paused:
@@ -182,4 +191,5 @@ class Inputs:
             said = f': {describe_times(message)}' if isinstance(message, PointCloud2) else ''
             self._logger.info(f'{name}: first message on {self.topics[name]}{said}')
         self._newest[name] = max(measurement.stamp, self._newest.get(name, 0))
+        self._clocks.take(name, measurement.stamp, received)
         self._hand_on(measurement)
