@@ -1,0 +1,87 @@
+"""Evidence on the IMU is gathered as it comes, and absurd samples are none."""
+
+from dataclasses import replace
+
+import gtsam
+import numpy as np
+import pytest
+from imu_rig import START, rates, samples, velocities
+
+from incremental_mapper.candidates.model import CoreKind, CoreMeasurement
+from incremental_mapper.frontend.lidar_odometry import PreparedScan
+from incremental_mapper.mapping.imu_watch import ImuWatch
+from incremental_mapper.mapping.watch import Watch
+from incremental_mapper.measurements import ImuSample
+from incremental_mapper.settings import make_config
+
+NOWHERE = np.zeros((1, 3))
+
+
+def imu(seconds=10.0, rate=1.0, force=1.0):
+    stamps, gyro, acceleration = samples(seconds)
+    return [
+        ImuSample(int(stamp), 'imu', rate * one, force * other)
+        for stamp, one, other in zip(stamps, gyro, acceleration, strict=True)
+    ]
+
+
+def match(seconds):
+    """A match of a scan with the one 0.1 s before."""
+    middle = np.array([seconds - 0.05])
+    turn, shift = 0.1 * rates(middle)[0], 0.1 * velocities(middle)[0]
+    core = CoreMeasurement(START + round(seconds * 1e9), 'left', CoreKind.LIDAR)
+    pose = gtsam.Pose3(gtsam.Rot3.Expmap(turn), shift)
+    return PreparedScan(core, NOWHERE, NOWHERE, core.stamp - 100_000_000, pose)
+
+
+def watched(stream, seconds=10.0, config=None):
+    """What a watch finds in samples and the matches beside them, in the order of their stamps."""
+    watch = ImuWatch(make_config(config or {}))
+    matches = [match(at) for at in np.arange(0.3, seconds - 0.1, 0.1)]
+    found = []
+    for sample in stream:
+        while matches and matches[0].core.stamp < sample.stamp - 500_000_000:
+            found += watch.matches([matches.pop(0)])
+        found += watch.sample(sample)
+    return [*found, *watch.matches(matches), *watch.end()]
+
+
+def test_nothing_is_found_in_a_good_imu():
+    assert watched(imu()) == []
+
+
+@pytest.mark.parametrize(
+    ('change', 'rule'), [({'force': 1 / 9.81}, 'imu_in_g'), ({'rate': 180 / np.pi}, 'imu_in_deg')]
+)
+def test_a_wrong_unit_is_found_and_gone_with_the_setting_that_mends_it(change, rule):
+    found = [one for one in watched(imu(**change)) if one.rule == rule]
+    assert found
+    assert watched(imu(**change), config=found[0].settings) == []
+
+
+def test_absurd_samples_and_stamps_are_no_evidence():
+    stream = imu()
+    for index in range(20, len(stream), 40):
+        stream[index] = replace(stream[index], acceleration=np.array([1e300, 0.0, 0.0]))
+    stream[500] = replace(stream[500], stamp=START + 10**18)
+    assert watched(stream) == []
+
+
+def test_an_imu_that_falls_silent_is_told_of():
+    found = watched(imu(2.0))
+    assert [one.rule for one in found] == ['imu_holes']
+    assert '8' in found[0].text
+
+
+def test_switched_off_it_is_not_looked_at():
+    assert watched(imu(force=0.1), config={'imu': {'enabled': False}}) == []
+
+
+def test_what_switches_the_imu_off_is_asked_of_who_runs_the_mapper():
+    watch = Watch(make_config({}))
+    stream = [replace(sample, gyro=np.zeros(3)) for sample in imu()]
+    for sample in stream:
+        watch.measurement(sample)
+    watch.prepared([match(at) for at in np.arange(0.3, 9.0, 0.1)])
+    assert watch.mend == {'imu': {'enabled': False}}
+    assert [found.rule for found in watch.mended()] == ['imu_gyro_frozen']
