@@ -19,6 +19,8 @@ from incremental_mapper.measurements import NANOSECONDS
 CERTAIN = 40.0
 """Logarithm of a likelihood ratio above which the rotations belong together. Drives here that move
 have 59 to 2800 over 5 to 60 s, one that stands 11 at the best of 800 lags."""
+LIKELY = 20.0
+"""The same where the rates are so large that they must be of another unit: chance has 14."""
 RATE_UNITS = {float(np.pi / 180.0): 'deg/s', float(180.0 / np.pi): 'rad/s divided by 57.3'}
 """What makes rad/s of other units."""
 NEAR_UNIT = 2.5
@@ -35,14 +37,15 @@ stands, 0.0015 on straight drives."""
 TURNING = 0.008
 """rad; root mean square of the matches' rotations that a gyroscope cannot miss: mixed drives here
 have 0.0095 to 0.029 with likelihoods above 1100, drives straight on at most 0.0038."""
-MANY = 40
-"""Matches after which a gyroscope that has missed them all is given up."""
+FEW, MANY = 40, 150
+"""Matches after which a gyroscope that has missed them all is given up, at the end and before."""
 LAG = 0.03
 """Seconds by which the clocks may differ, on top of half a sweep: where clouds have no point times
 the stamp may be that of either end. On the drives here the lag is 0.045 to 0.065 s without point
 times (half a sweep is 0.05 s) and -0.015 to -0.025 s with them."""
-CLOCK_GAIN = 30.0
-"""Logarithm of the likelihood ratio that a lag needs beside none: 47 and more for 0.1 s."""
+CLOCK_GAIN = 10.0
+"""Logarithm of the likelihood ratio that a lag needs beside none, in either half of the matches:
+20 and more after 5 s for 0.1 s, while lags that are chance have at most 3."""
 AXES_GAIN, AXES_LEAD = 30.0, 15.0
 """The same for axes that stand otherwise, and for their lead before the next best way. Right
 extrinsics lose 0 to 0.8 on all drives here; after 5 s a quarter turn about any axis has a gain of
@@ -70,15 +73,16 @@ def check_motion(
     if frozen is not None:
         return (frozen,)
     comparison = Comparison(evidence)
-    best, now = comparison.best(), comparison.at(0.0)
-    found: list[Finding] = []
-    if best is not None and best.likelihood > CERTAIN:
+    best = comparison.best()
+    together = best is not None and best.likelihood > CERTAIN
+    if best is not None and (together or (_is_too_much(best) and best.likelihood > LIKELY)):
         unit = _rate_unit(best, settings)
-        clock = _clock(best, now, settings, LAG + comparison.half)
+        clock = _clock(comparison, best, settings) if together else None
         found = [one for one in (unit, clock) if one is not None]
-        if found:
+        # With another clock the axes look wrong too.
+        if found or abs(best.lag) > LAG + comparison.half:
             return tuple(found)
-    elif best is not None and _disagrees(best):
+    elif best is not None and _disagrees(best, last):
         return (
             _switched_off(
                 'imu_disagrees',
@@ -87,7 +91,7 @@ def check_motion(
             ),
         )
     axes = compare_axes(evidence)
-    other = _axes(axes, settings)
+    other = _axes(axes, settings) if together else None
     if other is not None:
         return (other,)
     seconds = float(evidence.spans.max() - evidence.spans.min()) / NANOSECONDS
@@ -112,10 +116,14 @@ def _frozen_gyro(evidence: MotionEvidence) -> Finding | None:
     )
 
 
-def _disagrees(best: Agreement) -> bool:
+def _is_too_much(best: Agreement) -> bool:
+    """Whether the IMU turns so much that it cannot be in rad/s."""
+    return best.lidar > MOVING and best.imu > TOO_MUCH * best.lidar
+
+
+def _disagrees(best: Agreement, last: bool) -> bool:
     """Whether the IMU turns much more than the car, or does not where the car turns."""
-    too_much = best.lidar > MOVING and best.imu > TOO_MUCH * best.lidar
-    return best.count >= MANY and (too_much or best.lidar > TURNING)
+    return best.count >= (FEW if last else MANY) and (_is_too_much(best) or best.lidar > TURNING)
 
 
 def _rate_unit(best: Agreement, settings: Imu) -> Finding | None:
@@ -143,10 +151,13 @@ def _scaled(rule: str, text: str, factor: float, severity: Severity) -> Finding:
     return Finding(rule, severity, 'imu', text, remedy, {'imu': {'rate_scale': factor}})
 
 
-def _clock(best: Agreement, now: Agreement | None, settings: Imu, limit: float) -> Finding | None:
+def _clock(comparison: Comparison, best: Agreement, settings: Imu) -> Finding | None:
     """A clock that is ahead of the LiDARs' or behind."""
-    before = 0.0 if now is None else now.likelihood
-    if abs(best.lag) <= limit or best.likelihood - before < CLOCK_GAIN:
+    now = comparison.at(0.0)
+    if abs(best.lag) <= LAG + comparison.half:
+        return None
+    # Where nothing overlaps now there is nothing to be better than.
+    if now is not None and comparison.support(best.lag) < CLOCK_GAIN:
         return None
     offset = round(settings.time_offset + best.lag, 3)
     inside = abs(best.lag) < MAX_LAG - LAG

@@ -24,6 +24,8 @@ FEWEST = 16
 """Matches below which nothing is compared."""
 MAX_LAG = 2.0
 """Seconds by which the IMU's clock is looked for, before and after."""
+LAG_SHARE = 0.2
+"""Share of the samples' time by which they may be shifted at most: what is left must suffice."""
 MAX_HOLE = 0.25
 """Seconds without a sample over which nothing is integrated."""
 LONGEST = 0.6
@@ -121,7 +123,7 @@ class Comparison:
 
     def best(self) -> Agreement | None:
         """The lag of the highest correlation, whichever way the axes stand."""
-        most = round(MAX_LAG / STEP)
+        most = round(min(MAX_LAG, LAG_SHARE * len(self._integral) * STEP) / STEP)
         found = self._agreements(np.arange(-most, most + 1, COARSE))
         if not found:
             return None
@@ -129,12 +131,42 @@ class Comparison:
         found += self._agreements(np.arange(near - COARSE + 1, near + COARSE))
         return max(found, key=lambda one: one.turned)
 
-    def _agreements(self, steps: NDArray[np.int64]) -> list[Agreement]:
+    def support(self, lag: float) -> float:
+        """How much likelier ``lag`` is than none, by the half of the matches that says it least.
+
+        Both are held against the same matches. A single turn may look like one a second before;
+        the other half of the drive knows nothing of that.
+        """
+        steps = np.array([round(lag / STEP), 0])
+        both = np.flatnonzero(self._inside(steps).all(axis=0))
+        in_time = both[np.argsort(self._low[both], kind='stable')]
+        gains = []
+        for members in np.array_split(in_time, 2):
+            half = np.zeros(len(self._low), dtype=bool)
+            half[members] = True
+            found = self._agreements(steps, half)
+            if len(found) < 2:
+                return 0.0
+            gains.append(found[0].likelihood - found[1].likelihood)
+        return min(gains)
+
+    def _inside(self, steps: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Which matches (L, N) the samples cover at lags of so many ``STEP``."""
+        shift = steps[:, None] + self._first
+        covered: NDArray[np.bool_] = self._low >= shift
+        covered &= self._high - shift < len(self._integral)
+        return covered
+
+    def _agreements(
+        self, steps: NDArray[np.int64], among: NDArray[np.bool_] | None = None
+    ) -> list[Agreement]:
         """Agreement at lags of so many ``STEP``, those with enough matches."""
         shift = steps[:, None] + self._first
         low, high = self._low - shift, self._high - shift
         last = len(self._integral) - 1
-        inside = (low >= 0) & (high <= last)
+        inside = self._inside(steps)
+        if among is not None:
+            inside &= among
         span = self._integral[np.clip(high, 0, last)] - self._integral[np.clip(low, 0, last)]
         inside &= span[:, :, 3] <= 0.0
         used = inside.astype(float)
@@ -150,6 +182,8 @@ class Comparison:
         scale = best / np.maximum(other, 1e-30)
         rest = np.maximum(own - best * scale, 0.0) / np.maximum(3 * counts, 1)
         sigma = np.sqrt(rest / np.maximum(other, 1e-30))
+        wanted = len(self._turns) if among is None else int(among.sum())
+        fewest = max(FEWEST // 2 if among is not None else FEWEST, wanted // 2)
         return [
             Agreement(
                 lag=int(steps[i]) * STEP,
@@ -161,7 +195,7 @@ class Comparison:
                 lidar=float(np.sqrt(own[i] / counts[i])),
                 imu=float(np.sqrt(other[i] / counts[i])),
             )
-            for i in np.flatnonzero(counts >= max(FEWEST, len(self._turns) // 2)).tolist()
+            for i in np.flatnonzero(counts >= fewest).tolist()
         ]
 
 

@@ -30,6 +30,11 @@ GROWTH = 1.6
 """The rules are asked again when there is so many times the evidence."""
 MARGIN = 0.05
 """Seconds beyond a decision's time, for samples that are not quite regular."""
+AT_ONCE = ('imu_in_deg', 'imu_rate_unit', 'imu_gyro_frozen')
+"""Rules on the motion whose word counts at once. The others are asked twice: a lag or the axes that
+few turns have in common with others may be chance."""
+ALIKE = 0.03
+"""Seconds, or parts of a quaternion, by which the two answers may differ."""
 SENSIBLE = 1e7
 """Numbers beyond it, of any unit, are no evidence."""
 NEAR = 300 * NANOSECONDS
@@ -48,6 +53,7 @@ class ImuWatch:
         self._span = FIRST + MARGIN  # seconds of samples then
         self._enough = 2 * FEWEST  # matches at which the motion is looked at
         self._count = 0
+        self._before: Sequence[Finding] = ()  # of the last look at the motion
         self._max_gap = round(config.preintegration.max_gap * NANOSECONDS)
         self._holes = _Holes(self._max_gap)
 
@@ -118,7 +124,9 @@ class ImuWatch:
             force=force @ turn,
             gravity=self._gravity,
         )
-        return check_motion(evidence, self._settings, last)
+        found = check_motion(evidence, self._settings, last)
+        before, self._before = self._before, found
+        return [one for one in found if last or one.rule in AT_ONCE or _repeated(one, before)]
 
     def _look_at_holes(self) -> Sequence[Finding]:
         if len(self._samples) < 2:
@@ -151,6 +159,16 @@ class ImuWatch:
             settings.rate_scale * gyro[keep],
             settings.acceleration_scale * force[keep],
         )
+
+
+def _repeated(finding: Finding, before: Sequence[Finding]) -> bool:
+    """Whether the last look said the same."""
+    values = finding.settings['imu']
+    for other in before:
+        others = other.settings['imu']
+        if other.rule == finding.rule and others.keys() == values.keys():
+            return all(np.allclose(others[key], values[key], atol=ALIKE) for key in values)
+    return False
 
 
 class _Holes:
