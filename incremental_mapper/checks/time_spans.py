@@ -38,7 +38,7 @@ def span_findings(clocks: Sequence[SensorClock]) -> tuple[Finding, ...]:
             found += _offset(group, reference, *offset)
             shifted += group
     rest = [clock for clock in clocks if not any(clock is other for other in shifted)]
-    return (*found, *_apart(rest))
+    return (*found, *apart_findings(rest))
 
 
 def _alike(clocks: Sequence[SensorClock]) -> list[list[SensorClock]]:
@@ -94,8 +94,15 @@ def _offset(
     return found
 
 
-def _apart(clocks: Sequence[SensorClock]) -> list[Finding]:
-    """Sensors that share no time with the LiDARs."""
+def apart_findings(clocks: Sequence[SensorClock]) -> list[Finding]:
+    """Find sensors that share no time with the LiDARs.
+
+    Args:
+        clocks: stamps of every sensor, at least the first and the last.
+
+    Returns:
+        ``no_common_time``, an error where it is so of all other sensors.
+    """
     lidars = [clock for clock in clocks if clock.is_lidar]
     others = [clock for clock in clocks if not clock.is_lidar]
     if not lidars:

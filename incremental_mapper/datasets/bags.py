@@ -131,7 +131,7 @@ class BagSource:
                 ),
                 *clocks.findings,
             ]
-        self._offsets = clocks.offsets
+        self._offsets, self._apart = clocks.offsets, clocks.apart
         self._order_shifts = clock_look.order_shifts(clocks.offsets)
         self._info = SourceInfo(
             path=path,
@@ -191,6 +191,9 @@ class BagSource:
                     continue
                 sensor = found
                 left[sensor] -= 1
+                if sensor in self._apart:
+                    self._drops[sensor, 'no_common_time'] += 1
+                    continue
                 self._count_frame(sensor, message)
                 try:
                     measurement = converters[sensor](message)

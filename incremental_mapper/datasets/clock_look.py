@@ -41,11 +41,13 @@ class CheckedClocks:
         offsets: nanoseconds to add to the stamps of each sensor, mended ones included.
         settings: the mended offsets as a tree of settings.
         findings: what is wrong.
+        apart: sensors that share no time with the LiDARs: they would tear the map apart.
     """
 
     offsets: dict[str, int]
     settings: Tree
     findings: tuple[Finding, ...]
+    apart: frozenset[str]
 
 
 def check_clocks(
@@ -73,7 +75,8 @@ def check_clocks(
             mended = make_config(finding.settings)
             sensor = {**mended.lidars, 'imu': mended.imu, 'gnss': mended.gnss}[finding.sensor]
             offsets[finding.sensor] = offset_nanoseconds(sensor)
-    return CheckedClocks(offsets, settings, findings)
+    apart = frozenset(item.sensor for item in findings if item.rule == 'no_common_time')
+    return CheckedClocks(offsets, settings, findings, apart)
 
 
 class ClockLook:

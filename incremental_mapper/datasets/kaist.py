@@ -69,7 +69,7 @@ class KaistSource:
         used = _choose(self._recording, listed_lidars(tree))
         own = extrinsic_settings(self._recording, used)
         clocks = check_clocks(self._clocks, merge(own, tree), used)
-        self._offsets = clocks.offsets
+        self._offsets, self._apart = clocks.offsets, clocks.apart
         self._late_drops: Drops = Counter()
         self._remarks = Remarks()
         first, last = self._recording.span()
@@ -101,6 +101,9 @@ class KaistSource:
         self._remarks = Remarks()
         for stamp, sensor, index in self._recording.order(self._offsets):
             if sensor not in self._offsets:
+                continue
+            if sensor in self._apart:
+                self._late_drops[sensor, 'no_common_time'] += 1
                 continue
             try:
                 record = self._recording.streams[sensor].load(index)

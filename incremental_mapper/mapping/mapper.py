@@ -280,6 +280,7 @@ class Mapper:
 
     def _run(self, waiting: tuple[Window, Sequence[Preparation]]) -> WindowResult:
         window, begun = waiting
+        self._watch.window(window)
         started = time.perf_counter()
         for sample in window.imu:
             self._keep_orientation(sample)
@@ -408,9 +409,7 @@ class Mapper:
         totals.add_seconds(seconds)
         core = [item.core for item in items]
         if core:
-            first = totals.first_stamp
-            totals.first_stamp = core[0].stamp if first is None else min(first, core[0].stamp)
-            totals.last_stamp = max(totals.last_stamp, core[-1].stamp)
+            totals.add_stamps(core[0].stamp, core[-1].stamp)
         row = window_row(
             totals.windows, (frame.start, frame.end), core, frame.imu, choice, error, seconds
         )

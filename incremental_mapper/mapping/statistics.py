@@ -18,6 +18,8 @@ from incremental_mapper.settings import to_tree
 from incremental_mapper.smoothing.graph_state import GraphState
 
 STAGES = ('front_end', 'candidates', 'solve', 'score', 'append')
+MOST_HOLE = 3600 * NANOSECONDS
+"""A longer hole is no driving: two clocks, or two drives in one recording."""
 
 
 @dataclass(slots=True)
@@ -42,6 +44,16 @@ class Totals:
     verifications: list[Verification] = field(default_factory=list)
     first_stamp: int | None = None
     last_stamp: int = 0
+    skipped: int = 0  # nanoseconds of holes that are no driving
+
+    def add_stamps(self, first: int, last: int) -> None:
+        """Count a window's first and last core measurement (ns)."""
+        if self.first_stamp is None:
+            self.first_stamp = first
+        elif first - self.last_stamp > MOST_HOLE:
+            self.skipped += first - self.last_stamp
+        self.first_stamp = min(self.first_stamp, first)
+        self.last_stamp = max(self.last_stamp, last)
 
     def add_choice(self, choice: Choice) -> None:
         """Count one window's choice."""
@@ -189,7 +201,8 @@ def map_statistics(
     vertices, factors, kinds = clusters + 2 * inertial, len(state.factors), state.factor_counts
     drive = 0.0
     if totals.first_stamp is not None:
-        drive = (totals.last_stamp - totals.first_stamp) / NANOSECONDS
+        passed = totals.last_stamp - totals.first_stamp - totals.skipped
+        drive = passed / NANOSECONDS
     verified = totals.verifications
     return MapStatistics(
         strategy=config.selection.strategy,

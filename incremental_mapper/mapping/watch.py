@@ -7,6 +7,8 @@ from incremental_mapper.config import Config, Tree
 from incremental_mapper.frontend.front_end import Prepared
 from incremental_mapper.mapping.imu_watch import ImuWatch
 from incremental_mapper.mapping.judgement import FitWatch
+from incremental_mapper.mapping.presence_watch import PresenceWatch
+from incremental_mapper.mapping.window_buffer import Window
 from incremental_mapper.measurements import ImuSample, Measurement
 from incremental_mapper.settings import merge
 
@@ -24,12 +26,17 @@ class Watch:
         self.fit = FitWatch(config)
         self.mend: Tree = {}
         self._imu = ImuWatch(config)
+        self._presence = PresenceWatch()
 
     def measurement(self, measurement: Measurement) -> None:
         """Look at a measurement as it comes in."""
         if isinstance(measurement, ImuSample):
             for finding in self._imu.sample(measurement):
                 self.add(finding)
+
+    def window(self, window: Window) -> None:
+        """Look at what a closed window holds."""
+        self._presence.window(window)
 
     def prepared(self, prepared: Sequence[Prepared]) -> None:
         """Look at what the front end made of a window's core measurements."""
@@ -49,7 +56,7 @@ class Watch:
 
     def findings(self) -> tuple[Finding, ...]:
         """What was found so far, the worst first; its cost does not grow with the drive."""
-        return ranked([*self._findings, *self.fit.found])
+        return ranked([*self._findings, *self.fit.found, *self._presence.so_far()])
 
     def mended(self) -> tuple[Finding, ...]:
         """The findings that ``mend`` follows from."""
@@ -61,4 +68,4 @@ class Watch:
         Args:
             judged: What ``judge_map`` found, in place of what was found while the map grew.
         """
-        return ranked([*self._findings, *judged])
+        return ranked([*self._findings, *judged, *self._presence.findings()])

@@ -173,3 +173,10 @@ def test_verified_windows_are_summed_up():
     assert found['worst_regret_percent'] == pytest.approx(2.0)
     assert found['candidates_scored'] == 11
     assert found['direct_over_fast'] == pytest.approx(4.0)
+
+
+def test_a_hole_of_years_is_no_driving():
+    totals = Totals()
+    for first, last in [(10, 12), (13, 14), (1_500_000_000, 1_500_000_003)]:
+        totals.add_stamps(first * 10**9, last * 10**9)
+    assert totals.last_stamp - totals.first_stamp - totals.skipped == 7 * 10**9

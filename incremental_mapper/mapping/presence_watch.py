@@ -1,0 +1,94 @@
+"""When each sensor was there: the evidence of holes in a drive."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from incremental_mapper.checks.finding import Finding
+from incremental_mapper.checks.gaps import PERIODS, SILENCE, Presence, absence_findings, is_uneven
+from incremental_mapper.checks.sensor_clocks import SensorClock
+from incremental_mapper.checks.time_spans import apart_findings
+from incremental_mapper.mapping.window_buffer import Window
+from incremental_mapper.measurements import NANOSECONDS
+
+_STEPS = 400
+"""Steps from message to message that tell what is usual."""
+_HOLES = 1000
+"""Holes that are kept of a sensor; who has more has lost most of it at either end."""
+
+_YOUNG = 60.0
+"""Seconds of a drive that goes on before absences are told: a late sensor is soon a small part."""
+_PERIOD = 5 * NANOSECONDS
+
+
+class _Seen:
+    """First and last stamp of one sensor, its usual steps, and its holes."""
+
+    def __init__(self, first: int) -> None:
+        self.first = self.last = first
+        self.steps: list[float] = []
+        self.holes: list[tuple[int, int]] = []
+
+    def take(self, stamps: NDArray[np.int64]) -> None:
+        """Take stamps in order; those that are no newer than the last change nothing."""
+        stamps = stamps[stamps > self.last]
+        if not len(stamps):
+            return
+        ends = np.concatenate([[self.last], stamps])
+        steps = np.diff(ends) / NANOSECONDS
+        if len(self.steps) < _STEPS:
+            self.steps += steps.tolist()
+        for index in np.flatnonzero(steps > SILENCE):
+            if len(self.holes) < _HOLES:
+                self.holes.append((int(ends[index]), int(ends[index + 1])))
+        self.last = int(stamps[-1])
+
+    def presence(self, sensor: str) -> Presence:
+        """The sensor's holes by what is usual for it."""
+        steps = np.array(self.steps)
+        usual = float(np.median(steps)) if len(steps) else 0.0
+        least = max(SILENCE, PERIODS * usual) * NANOSECONDS
+        holes = () if is_uneven(steps) else tuple(h for h in self.holes if h[1] - h[0] > least)
+        return Presence(sensor, self.first, self.last, holes)
+
+
+class PresenceWatch:
+    """Looks at the stamps of windows, one numpy call for a sensor and window."""
+
+    def __init__(self) -> None:
+        self._seen: dict[str, _Seen] = {}
+        self._newest = 0
+        self._next = 0
+        self._found: list[Finding] = []
+
+    def window(self, window: Window) -> None:
+        """Look at what a window holds; what was dropped before is not there."""
+        stamps: dict[str, list[int]] = {}
+        for item in window.core:
+            stamps.setdefault(item.sensor, []).append(item.stamp)
+        if window.imu:
+            stamps['imu'] = [sample.stamp for sample in window.imu]
+        for sensor, values in stamps.items():
+            seen = self._seen.setdefault(sensor, _Seen(values[0]))
+            seen.take(np.array(values, dtype=np.int64))
+        self._newest = max(self._newest, window.end)
+
+    def so_far(self) -> list[Finding]:
+        """The same for a drive that goes on: looked at now and then, and not while it is young."""
+        if self._newest >= self._next:
+            begun = min((seen.first for seen in self._seen.values()), default=self._newest)
+            young = self._newest - begun < _YOUNG * NANOSECONDS
+            self._found = [] if young else self.findings()
+            self._next = self._newest + _PERIOD
+        return self._found
+
+    def findings(self) -> list[Finding]:
+        """Sensors that share no time with the LiDARs, or were away for long."""
+        present = [seen.presence(sensor) for sensor, seen in self._seen.items()]
+        clocks = [
+            SensorClock(item.sensor, np.array([item.first, item.last], dtype=np.int64))
+            for item in present
+        ]
+        apart = apart_findings(clocks)
+        away = {finding.sensor for finding in apart}
+        together = [item for item in present if item.sensor not in away]
+        return [*apart, *absence_findings(together)]
