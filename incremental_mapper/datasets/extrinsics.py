@@ -1,6 +1,6 @@
 """Where the sensors of a bag sit on the car: by the settings, else by its static transforms."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -70,6 +70,26 @@ def find_extrinsics(
     if any(pose is None and _pose(tree, frames[name]) is None for name, pose in given.items()):
         add_still_transforms(reader, tree)
     sources = [STATIC_TOPIC] * bool(of_static) + [MOVING_TOPIC] * (set(tree.edges) != of_static)
+    return place_sensors(tree, sources, settings, frames, lidars)
+
+
+def place_sensors(
+    tree: FrameTree,
+    sources: Sequence[str],
+    settings: Mapping[str, Any],
+    frames: Mapping[str, str],
+    lidars: tuple[str, ...],
+) -> Extrinsics:
+    """Say where the sensors are by the settings, else by transforms; as ``find_extrinsics``.
+
+    Args:
+        tree: transforms that do not move.
+        sources: topics that they are from.
+        settings: see there.
+        frames: see there.
+        lidars: see there.
+    """
+    given = {name: extrinsics_of(settings, name, lidars) for name in frames}
     places = [
         SensorPlace(
             name,

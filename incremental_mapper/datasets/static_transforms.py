@@ -3,7 +3,7 @@
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,9 @@ from rosbags.highlevel import AnyReader
 from incremental_mapper.checks.finding import Finding
 from incremental_mapper.checks.sensor_places import BASE_FRAME, bad_transform
 from incremental_mapper.geometry import pose_matrix
+
+Edge: TypeAlias = tuple[str, str]
+"""Frames of a transform: parent and child."""
 
 STATIC_TOPIC, MOVING_TOPIC = '/tf_static', '/tf'
 MOST_MESSAGES = 2000
@@ -29,7 +32,7 @@ class FrameTree:
         findings: transforms that could not be used.
     """
 
-    edges: dict[tuple[str, str], NDArray[np.float64]] = field(default_factory=dict)
+    edges: dict[Edge, NDArray[np.float64]] = field(default_factory=dict)
     findings: list[Finding] = field(default_factory=list)
 
     def base(self) -> str | None:
@@ -67,6 +70,30 @@ def clean(frame: str) -> str:
     return frame.lstrip('/')
 
 
+class StillTransforms:
+    """Finds the transforms of ``/tf`` that do not move, as some publishers have all there."""
+
+    def __init__(self) -> None:
+        self._first: dict[Edge, NDArray[np.float64]] = {}
+        self._again: set[Edge] = set()
+        self._moving: set[Edge] = set()
+
+    def take(self, edge: Edge, numbers: NDArray[np.float64]) -> None:
+        """Look at a transform (x, y, z, qx, qy, qz, qw) between parent and child."""
+        if edge not in self._first:
+            self._first[edge] = numbers
+            return
+        self._again.add(edge)
+        if not np.allclose(numbers, self._first[edge], rtol=0.0, atol=_STILL):
+            self._moving.add(edge)
+
+    def add_to(self, tree: FrameTree) -> None:
+        """Add those that have come again and have not moved, where the tree has none."""
+        # What was sent once may move still.
+        for edge in sorted((self._again - self._moving) - tree.edges.keys()):
+            add_transform(tree, MOVING_TOPIC, edge, self._first[edge])
+
+
 def read_static_transforms(reader: AnyReader) -> FrameTree:
     """Read ``/tf_static``.
 
@@ -78,7 +105,7 @@ def read_static_transforms(reader: AnyReader) -> FrameTree:
     """
     tree = FrameTree()
     for edge, numbers in _transforms(reader, STATIC_TOPIC, None):
-        _add(tree, STATIC_TOPIC, edge, numbers)
+        add_transform(tree, STATIC_TOPIC, edge, numbers)
     return tree
 
 
@@ -89,25 +116,39 @@ def add_still_transforms(reader: AnyReader, tree: FrameTree) -> None:
         reader: an open bag.
         tree: gets what it has not yet.
     """
-    first: dict[tuple[str, str], NDArray[np.float64]] = {}
-    moving: set[tuple[str, str]] = set()
-    seen: set[tuple[str, str]] = set()
+    still = StillTransforms()
     for edge, numbers in _transforms(reader, MOVING_TOPIC, MOST_MESSAGES):
-        if edge not in first:
-            first[edge] = numbers
-            continue
-        seen.add(edge)
-        if not np.allclose(numbers, first[edge], rtol=0.0, atol=_STILL):
-            moving.add(edge)
-    # What was sent once may move still.
-    for edge in first.keys() & (seen - moving) - tree.edges.keys():
-        _add(tree, MOVING_TOPIC, edge, first[edge])
+        still.take(edge, numbers)
+    still.add_to(tree)
+
+
+def stamped_transforms(message: Any) -> Iterator[tuple[Edge, NDArray[np.float64]]]:
+    """Read ((parent, child), x y z qx qy qz qw) from a ``tf2_msgs/TFMessage``."""
+    for stamped in message.transforms:
+        place, turn = stamped.transform.translation, stamped.transform.rotation
+        numbers = np.array([place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w])
+        yield (clean(stamped.header.frame_id), clean(stamped.child_frame_id)), numbers
+
+
+def add_transform(tree: FrameTree, topic: str, edge: Edge, numbers: NDArray[np.float64]) -> None:
+    """Add a transform to a tree, or a finding where it is none.
+
+    Args:
+        tree: gets the transform, in place of one between the same frames.
+        topic: where it came from.
+        edge: parent and child.
+        numbers: x, y, z, qx, qy, qz, qw.
+    """
+    try:
+        tree.edges[edge] = pose_matrix(numbers.tolist())
+    except ValueError as error:
+        tree.findings.append(bad_transform(topic, edge[1], edge[0], str(error)))
 
 
 def _transforms(
     reader: AnyReader, topic: str, most: int | None
-) -> Iterator[tuple[tuple[str, str], NDArray[np.float64]]]:
-    """((parent, child), x y z qx qy qz qw) of a topic, in the order in which they were logged."""
+) -> Iterator[tuple[Edge, NDArray[np.float64]]]:
+    """The transforms of a topic, in the order in which they were logged."""
     connections = [c for c in reader.connections if c.topic.lstrip('/') == topic.lstrip('/')]
     if not connections:
         return
@@ -115,18 +156,7 @@ def _transforms(
         if most is not None and count >= most:
             return
         try:
-            message: Any = reader.deserialize(data, connection.msgtype)
-            for stamped in message.transforms:
-                place, turn = stamped.transform.translation, stamped.transform.rotation
-                numbers = np.array([place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w])
-                yield (clean(stamped.header.frame_id), clean(stamped.child_frame_id)), numbers
+            yield from stamped_transforms(reader.deserialize(data, connection.msgtype))
         # Of a damaged message the decoder raises whatever it stumbles over.
         except Exception:
             continue
-
-
-def _add(tree: FrameTree, topic: str, edge: tuple[str, str], numbers: NDArray[np.float64]) -> None:
-    try:
-        tree.edges[edge] = pose_matrix(numbers.tolist())
-    except ValueError as error:
-        tree.findings.append(bad_transform(topic, edge[1], edge[0], str(error)))

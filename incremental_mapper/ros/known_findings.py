@@ -25,15 +25,19 @@ class KnownFindings:
 
     def __init__(self, logger: RcutilsLogger) -> None:
         self._logger = logger
-        self._lasting: tuple[Finding, ...] = ()
+        self._of_part: dict[str, tuple[Finding, ...]] = {}
         self._of_map: tuple[Finding, ...] = ()
         self._told: dict[tuple[str, str], bytes] = {}
 
-    def add(self, findings: Iterable[Finding]) -> None:
-        """Take findings of the settings or the inputs."""
-        added = tuple(findings)
-        self._lasting = ranked([*self._lasting, *added])
-        self._tell(added)
+    def of_part(self, part: str, findings: Iterable[Finding]) -> None:
+        """Take all findings of a part of the inputs as it is now, in place of those before.
+
+        Args:
+            part: A name of the part.
+            findings: All that there are.
+        """
+        self._of_part = {**self._of_part, part: tuple(findings)}
+        self._tell(self._of_part[part])
 
     def of_map(self, findings: tuple[Finding, ...], told: bool = False) -> None:
         """Take all findings of the map as it is now, in place of those before.
@@ -49,7 +53,7 @@ class KnownFindings:
 
     def lasting(self) -> tuple[Finding, ...]:
         """Those of settings and inputs; any thread may ask."""
-        return self._lasting
+        return ranked(found for part in self._of_part.values() for found in part)
 
     def status(self, node: str) -> DiagnosticStatus:
         """All findings as a diagnostic status, as bad as the worst and with its line.
@@ -57,7 +61,7 @@ class KnownFindings:
         Args:
             node: name of the node.
         """
-        found = ranked([*self._lasting, *self._of_map])
+        found = ranked([*self.lasting(), *self._of_map])
         level, message = DiagnosticStatus.OK, SUSPICIONS
         if found:
             level, message = LEVELS[found[0].severity], found[0].line()

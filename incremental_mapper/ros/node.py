@@ -3,7 +3,7 @@
 import signal
 import sys
 import threading
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Generator
 from itertools import count
 from typing import Any
@@ -25,10 +25,17 @@ from std_srvs.srv import SetBool, Trigger
 from incremental_mapper.config import Tree
 from incremental_mapper.errors import ConfigError, MapperError
 from incremental_mapper.mapping.load_shedding import NO_SHEDDING
+from incremental_mapper.measurements import Drops, Measurement
 from incremental_mapper.ros.arguments import read_own_arguments
 from incremental_mapper.ros.health import Health
 from incremental_mapper.ros.inbox import Command, Deadline, Order, Renewal
+from incremental_mapper.ros.input_watch import InputWatch, published_by_others
 from incremental_mapper.ros.known_findings import KnownFindings
+from incremental_mapper.ros.live_extrinsics import (
+    LiveExtrinsics,
+    all_given,
+    listen_to_transforms,
+)
 from incremental_mapper.ros.parameters import NodeParameters
 from incremental_mapper.ros.programs import NODE_NAME
 from incremental_mapper.ros.publishers import Outputs
@@ -92,8 +99,10 @@ class MapperNode:
         self._findings = KnownFindings(self._logger)
         self._guard = self.node.create_guard_condition(self._on_updates)
         self._worker = Worker(config, self._take_update)
-        self._inputs = Inputs(self.node, config, self._worker.inbox.put)
-        self._worker.outside_drops = self._inputs.drops
+        self._inputs = Inputs(self.node, config, self._on_measurement)
+        self._watch = InputWatch(self._inputs.topics, list(config.lidars))
+        self._extrinsics = self._make_extrinsics()
+        self._worker.outside_drops = self._outside_drops
         self._outputs = Outputs(self.node, self.parameters, self._worker.inbox)
         self._worker.outside_findings = self._findings.lasting
         self._health = Health(self.node.get_name(), self._inputs, self._worker, self._findings)
@@ -113,7 +122,6 @@ class MapperNode:
             ),
             post_callback=self._on_clock_jump,
         )
-        self._warn_of_extrinsics()
         self._worker.start()
         topics = ', '.join(self._inputs.topics.values())
         self._logger.info(f'listening on {topics}')
@@ -188,7 +196,48 @@ class MapperNode:
             reason = '; '.join(item.line() for item in mended)
             self._worker.inbox.put(Renewal(settings, reason, mended))
 
+    def _on_measurement(self, measurement: Measurement, frame: str) -> None:
+        if self._watch.take(measurement, frame):
+            self._extrinsics.take(measurement, frame)
+
+    def _outside_drops(self) -> Drops:
+        """What was lost before the worker; any thread may ask."""
+        return self._inputs.drops() + Counter(dict(self._watch.drops))
+
+    def _make_extrinsics(self) -> LiveExtrinsics:
+        """Where the sensors are: by parameters, else by transforms, where those can be heard."""
+        given, config = self.parameters.given, self.parameters.config
+        open_places = not all_given(given, config)
+        extrinsics = LiveExtrinsics(
+            given, config, self._worker.inbox.put, self._logger.info, waiting=open_places
+        )
+        moving = extrinsics.moving if open_places else None
+        if not listen_to_transforms(self.node, extrinsics.static, moving):
+            extrinsics.wait_no_more()
+            if open_places:
+                self._logger.info(
+                    'tf2_msgs is not installed: T_base_sensor comes from the parameters only'
+                )
+        return extrinsics
+
+    def _look_at_inputs(self) -> None:
+        """Ask what is wrong with the inputs by now."""
+        topics = published_by_others(self.node) if self._watch.silent else {}
+        self._watch.look_at_topics(self._inputs.types, self._topic_keys, topics)
+        self._findings.of_part('inputs', self._watch.findings(self._topic_keys))
+        self._findings.of_part('places', self._extrinsics.findings)
+
+    @property
+    def _topic_keys(self) -> dict[str, str]:
+        """The parameters that name the sensors' topics."""
+        lidars = self.parameters.config.lidars
+        return {
+            name: f'lidars.{name}.topic' if name in lidars else f'{name}.topic'
+            for name in self._inputs.topics
+        }
+
     def _on_tick(self) -> None:
+        self._extrinsics.look()
         self._look_at_clocks()
         self._worker.graph_span = self.parameters.config.graph.markers_span
         self._outputs.tick()
@@ -201,6 +250,7 @@ class MapperNode:
         self._overloaded = overloaded
 
     def _on_diagnostics(self) -> None:
+        self._look_at_inputs()
         stamp = self.node.get_clock().now().to_msg()
         self._diagnostics.publish(self._health.message(stamp))
 
@@ -246,15 +296,6 @@ class MapperNode:
         response.success = True
         response.message = 'paused: measurements are left out' if request.data else 'running'
         return response
-
-    def _warn_of_extrinsics(self) -> None:
-        lidars = self.parameters.config.lidars
-        poses = {lidar.T_base_sensor for lidar in lidars.values()}
-        if len(lidars) > 1 and len(poses) == 1:
-            self._logger.warning(
-                f'LiDARs {", ".join(lidars)} have the same T_base_sensor; '
-                'set lidars.<name>.T_base_sensor (pose of the sensor in base_link) of each'
-            )
 
 
 def main(args: list[str] | None = None) -> int:

@@ -35,6 +35,8 @@ NOT_OURS = ('use_sim_time', 'start_type_description_service')
 class NodeParameters:
     """Declares all settings on a node and keeps ``config`` up to date.
 
+    ``given`` are those that somebody set, as nested dictionaries.
+
     The node must have been made with ``automatically_declare_parameters_from_overrides``: that is
     the public way to learn of names that nobody declares. Raises ConfigError for unknown names
     and for values that the schema refuses.
@@ -46,6 +48,7 @@ class NodeParameters:
             for name, parameter in node.get_parameters_by_prefix('').items()
             if name not in NOT_OURS and not name.startswith('qos_overrides.')
         }
+        self.given = nested(given)
         self.config = _config(given)
         for name in given:
             node.undeclare_parameter(name)

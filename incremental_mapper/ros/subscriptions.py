@@ -57,22 +57,25 @@ Arrived: TypeAlias = tuple[_Subscribed, Any, Mapping[str, Any]]
 class Inputs:
     """All subscriptions of a node; used in the executor's thread only, ``drops`` apart.
 
-    ``hand_on`` takes the measurements in the order in which the messages reached the middleware,
-    with the stamps and numbers of their messages: the worker puts them right. While ``paused``
-    they are counted and left out. ``lost`` counts what the middleware lost on the way, by the
-    gaps in the numbers that a topic's publisher gives its messages.
+    ``hand_on`` takes the measurements, each with the frame_id of its message, in the order in
+    which the messages reached the middleware, and with the stamps and numbers of their messages:
+    the worker puts them right. While ``paused`` they are counted and left out. ``lost`` counts
+    what the middleware lost on the way, by the gaps in the numbers that a topic's publisher gives
+    its messages.
     """
 
-    def __init__(self, node: Node, config: Config, hand_on: Callable[[Measurement], None]) -> None:
+    def __init__(
+        self, node: Node, config: Config, hand_on: Callable[[Measurement, str], None]
+    ) -> None:
         self.paused = False
         self.received: Counter[str] = Counter()
         self.lost: Counter[str] = Counter()
         self.topics: dict[str, str] = {}
+        self.types: dict[str, str] = {}
         self._node = node
         self._logger = node.get_logger()
         self._hand_on = hand_on
         self._drops: Drops = Counter()
-        self._remarked: set[tuple[str, str]] = set()
         self._newest: dict[str, int] = {}
         self._numbers: dict[str, int] = {}
         self._counted: Counter[str] = Counter()
@@ -139,6 +142,7 @@ class Inputs:
         place = _Subscribed(name, stream, subscription)
         self._subscribed.append(place)
         self.topics[name] = subscription.topic_name
+        self.types[name] = f'sensor_msgs/msg/{stream.kind.__name__}'
 
     def _take_in(self, first: Arrived) -> None:
         """Take in a message and all that wait behind it, on every topic.
@@ -183,13 +187,9 @@ class Inputs:
                 self._logger.warning(f'{name}: {error} (said once; /diagnostics counts)')
             self._drops[name, error.reason] += 1
             return
-        for remark in getattr(measurement, 'remarks', ()):
-            if (name, remark.reason) not in self._remarked:
-                self._remarked.add((name, remark.reason))
-                self._logger.warning(f'{name}: {remark.text} ({remark.reason}, said once)')
         if name not in self._newest:
             said = f': {describe_times(message)}' if isinstance(message, PointCloud2) else ''
             self._logger.info(f'{name}: first message on {self.topics[name]}{said}')
         self._newest[name] = max(measurement.stamp, self._newest.get(name, 0))
         self._clocks.take(name, measurement.stamp, received)
-        self._hand_on(measurement)
+        self._hand_on(measurement, str(message.header.frame_id))

@@ -215,7 +215,8 @@ def unattended(light_bag):
         signal_handler_options=SignalHandlerOptions.NO,
     )
     node, handed_on = Node('unattended', context=context), []
-    inputs = Inputs(node, make_config(bag_parameters(light_bag)), handed_on.append)
+    config = make_config(bag_parameters(light_bag))
+    inputs = Inputs(node, config, lambda item, frame: handed_on.append(item))
     quality = QoSProfile(depth=1000)
     publishers = {
         topic: node.create_publisher(kind, topic, quality) for topic, kind in INPUTS.items()

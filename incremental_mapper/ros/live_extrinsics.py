@@ -1,0 +1,214 @@
+"""Where the sensors sit, by transforms that are published, where the parameters do not say."""
+
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+from incremental_mapper.checks.finding import Finding
+from incremental_mapper.config import Config, Tree
+from incremental_mapper.datasets.extrinsics import place_sensors
+from incremental_mapper.datasets.static_transforms import (
+    MOST_MESSAGES,
+    MOVING_TOPIC,
+    STATIC_TOPIC,
+    FrameTree,
+    StillTransforms,
+    add_transform,
+    clean,
+    stamped_transforms,
+)
+from incremental_mapper.measurements import Measurement
+from incremental_mapper.ros.inbox import Item, Renewal
+
+PATIENCE = 1.0
+"""Seconds from the first measurement for which the transforms are waited for; /tf_static is there
+within a tenth, /tf has each transform twice after 20 to 200 ms."""
+
+
+class LiveExtrinsics:
+    """Holds the first measurements back until it is known where their sensors are, or too late.
+
+    Used in the executor's thread. Sensors whose place the parameters give are not waited for, and
+    where all are given, or transforms cannot be listened to, nothing is held back.
+
+    ``findings`` are what is wrong with the places by now; ``renamed`` says whether they changed
+    since they were asked for.
+    """
+
+    def __init__(
+        self,
+        settings: Mapping[str, Any],
+        config: Config,
+        hand_on: Callable[[Item], None],
+        tell: Callable[[str], object],
+        waiting: bool,
+    ) -> None:
+        """Make ready for the first measurement.
+
+        Args:
+            settings: The parameters that are given, as nested dictionaries.
+            config: All settings.
+            hand_on: Takes measurements and settings that were found, in order.
+            tell: Takes a line for the log.
+            waiting: Whether the first measurements are held back until transforms come.
+        """
+        self.findings: tuple[Finding, ...] = ()
+        self._settings = settings
+        self._lidars = tuple(config.lidars)
+        self._hand_on = hand_on
+        self._tell = tell
+        self._tree = FrameTree()
+        self._still = StillTransforms()
+        self._static = False
+        self._messages = 0
+        self._frames: dict[str, str] = {}
+        self._applied: Tree = {}
+        self._told: set[str] = set()
+        self._held: list[Measurement] = []
+        self._open = not waiting
+        self._since: float | None = None
+        self._changed = False
+
+    def static(self, message: Any) -> None:
+        """Take a ``tf2_msgs/TFMessage`` of /tf_static."""
+        self._static = True
+        for edge, numbers in stamped_transforms(message):
+            add_transform(self._tree, STATIC_TOPIC, edge, numbers)
+        self._changed = True
+        self._look()
+
+    def moving(self, message: Any) -> bool:
+        """Take one of /tf, of which only what stands still is used; False: that was the last."""
+        self._messages += self._since is not None  # before, there is nothing to find out
+        before = len(self._tree.edges)
+        for edge, numbers in stamped_transforms(message):
+            self._still.take(edge, numbers)
+        self._still.add_to(self._tree)
+        if len(self._tree.edges) > before:
+            self._changed = True
+            self._look()
+        return self._messages < MOST_MESSAGES
+
+    def take(self, measurement: Measurement, frame: str) -> None:
+        """Take a measurement, and the frame_id of its message; it is handed on sooner or later."""
+        if self._since is None:
+            self._since = time.monotonic()
+        if self._frames.get(measurement.sensor) != frame:
+            self._frames[measurement.sensor] = frame
+            self._changed = True
+        if self._open and not self._changed:
+            self._hand_on(measurement)
+            return
+        self._held.append(measurement)
+        self._look()
+
+    def look(self) -> None:
+        """Hand on what was held back for long enough; to be called ten times a second."""
+        if self._since is not None and (self._held or self._changed):
+            self._look()
+
+    def wait_no_more(self) -> None:
+        """No transforms will come."""
+        self._open = True
+
+    def _look(self) -> None:
+        if self._since is None:
+            return
+        over = time.monotonic() - self._since >= PATIENCE
+        sources = [STATIC_TOPIC] * self._static
+        sources += [MOVING_TOPIC] * (bool(self._tree.edges) and not self._static)
+        places = place_sensors(
+            self._tree, sources, self._settings, self._frames, self._seen_lidars()
+        )
+        found = places.settings
+        first = not self._open
+        if first and not (over or self._all_placed(found)):
+            return
+        self._open = True
+        if over:
+            self.findings = places.findings
+            self._changed = False
+        for note in places.notes:
+            if note not in self._told and self._ripe(note):
+                self._told.add(note)
+                self._tell(note)
+        if found != self._applied:
+            self._applied = found
+            names = ', '.join(_names(found))
+            self._hand_on(Renewal(found, f'transforms tell where {names} are'))
+        for measurement in self._held:
+            self._hand_on(measurement)
+        self._held = []
+
+    def _seen_lidars(self) -> tuple[str, ...]:
+        return tuple(name for name in self._lidars if name in self._frames)
+
+    def _all_placed(self, found: Tree) -> bool:
+        """Whether every sensor has sent something, and somebody tells where it is."""
+        known = {*_names(found), *_names(self._settings)}
+        base = (clean(self._tree.base() or ''), 'base_link')
+        known |= {name for name, frame in self._frames.items() if clean(frame) in base}
+        everything = {*self._lidars, 'imu', 'gnss'}
+        return everything <= known and everything <= self._frames.keys()
+
+    def _ripe(self, note: str) -> bool:
+        """Whether a note is worth a line: those on the parameters' own poses grow with sensors."""
+        return not note.endswith('from the settings')
+
+
+def listen_to_transforms(
+    node: Node, static: Callable[[Any], None], moving: Callable[[Any], bool] | None
+) -> bool:
+    """Subscribe to the transforms that others publish.
+
+    Args:
+        node: Who listens.
+        static: Takes the messages of /tf_static.
+        moving: Takes those of /tf, until it returns False; None where they are not wanted.
+
+    Returns:
+        Whether it could be done: tf2_msgs is not among the wheels of PyPI.
+    """
+    try:
+        from tf2_msgs.msg import TFMessage
+    except ImportError:
+        return False
+
+    def quality(durability: DurabilityPolicy) -> QoSProfile:
+        return QoSProfile(
+            history=HistoryPolicy.KEEP_LAST,
+            depth=100,
+            reliability=ReliabilityPolicy.RELIABLE,
+            durability=durability,
+        )
+
+    latched, passing = DurabilityPolicy.TRANSIENT_LOCAL, DurabilityPolicy.VOLATILE
+    node.create_subscription(TFMessage, STATIC_TOPIC, static, quality(latched))
+    if moving is not None:
+
+        def take(message: Any) -> None:
+            if not moving(message):
+                # Every message costs time, and there may be hundreds a second.
+                node.destroy_subscription(subscription)
+
+        subscription = node.create_subscription(TFMessage, MOVING_TOPIC, take, quality(passing))
+    return True
+
+
+def all_given(settings: Mapping[str, Any], config: Config) -> bool:
+    """Whether the settings name the place of every sensor."""
+    return {*config.lidars, 'imu', 'gnss'} <= {*_names(settings)}
+
+
+def _names(settings: Mapping[str, Any]) -> list[str]:
+    """Sensors whose T_base_sensor a tree of settings names."""
+    lidars = settings.get('lidars', {})
+    sections = {**(lidars if isinstance(lidars, Mapping) else {}), **settings}
+    return [
+        name
+        for name, section in sections.items()
+        if isinstance(section, Mapping) and 'T_base_sensor' in section
+    ]
