@@ -159,7 +159,7 @@ def run_node(sent: Sequence[Sent], settings: Path, out: Path, domain: int, rate:
         parts = client.diagnostics[-1]
     received = {name: parts[name]['received'] for name in parts if 'received' in parts[name]}
     printed = f'{said}\nreceived {received}\nworker {parts["worker"]}\n' + log.read_text()
-    saved = Path(said.removeprefix('saved to ')) if status == 0 else out
+    saved = Path(said.removeprefix('saved to ').partition(';')[0]) if status == 0 else out
     return Result(status, printed, samples, saved)
 
 

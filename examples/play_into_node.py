@@ -185,7 +185,7 @@ def follow(
     worker = client.fresh_diagnostics()['worker']
     if worker['limited_windows'] or worker['merged_windows']:
         return None
-    return Path(message.removeprefix('saved to '))
+    return Path(message.removeprefix('saved to ').partition(';')[0])
 
 
 def report_arrival(wanted: Wanted, client: NodeClient) -> None:

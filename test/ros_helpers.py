@@ -234,7 +234,7 @@ class NodeSession:
         assert client.wait_for_service(5.0)
         request = Trigger.Request() if data is None else SetBool.Request(data=data)
         future = client.call_async(request)
-        self.wait(future.done, f'answer of {name}', 15.0)
+        self.wait(future.done, f'answer of {name}', 60.0)
         answer = future.result()
         return answer.success, answer.message
 

@@ -29,6 +29,10 @@ class KnownFindings:
         self._of_map: tuple[Finding, ...] = ()
         self._told: dict[tuple[str, str], bytes] = {}
 
+    def add(self, findings: Iterable[Finding]) -> None:
+        """Take findings that last, beside those that there are."""
+        self.of_part('', ranked([*self._of_part.get('', ()), *findings]))
+
     def of_part(self, part: str, findings: Iterable[Finding]) -> None:
         """Take all findings of a part of the inputs as it is now, in place of those before.
 

@@ -54,7 +54,7 @@ def test_equal_extrinsics_are_said_everywhere(start, messages, tmp_path):
     assert level == DiagnosticStatus.WARN and '(equal_extrinsics)' in message
     assert values['equal_extrinsics'].startswith('warning: LiDARs left, right')
     assert len(logged(session, 'equal_extrinsics')) == 1
-    assert session.call('save_map')[0]
+    assert session.call('save_map')[1].startswith(f'saved to {tmp_path / "saved"}')
     saved = json.loads((tmp_path / 'saved' / 'stats.json').read_text())
     assert 'equal_extrinsics' in {item['rule'] for item in saved['warnings']}
 
@@ -104,7 +104,7 @@ def test_clouds_of_a_second_lidar_that_nobody_asked_for_are_left_out(start, mess
     count = sum(item.topic == RIGHT for item in messages)
     assert session.dropped('left') == {'foreign_frame': count}
     assert checks(session)[1].startswith('left: ')
-    assert session.call('save_map')
+    assert session.call('save_map')[1].startswith('saved to')
     saved = json.loads((tmp_path / 'saved' / 'stats.json').read_text())
     assert saved['dropped']['left']['foreign_frame'] == count
 
