@@ -199,6 +199,12 @@ class Comparison:
         ]
 
 
+def smoothness(evidence: MotionEvidence) -> float:
+    """Correlation of one match's rotation with the next one's: 1 where a car turns, 0 of noise."""
+    turns = evidence.turns[np.argsort(evidence.spans.sum(axis=1), kind='stable')]
+    return float((turns[1:] * turns[:-1]).sum() / max(float((turns**2).sum()), 1e-30))
+
+
 def integrated(stamps: NDArray[np.int64], gyro: Array) -> Array:
     """Integral of the rates at each stamp (K, 4), rad; the last column is the time in holes, s."""
     passed = np.diff(stamps) / NANOSECONDS

@@ -136,5 +136,11 @@ def test_a_gyroscope_that_has_nothing_to_do_with_the_car_is_switched_off():
         assert found.changes
 
 
+def test_matches_that_are_mere_noise_prove_nothing_of_the_imu():
+    good = evidence()
+    noise = 0.01 * np.random.default_rng(0).normal(size=good.turns.shape)
+    assert check_motion(replace(good, turns=noise), Imu(), last=True) == ()
+
+
 def test_clocks_that_are_hours_apart_compare_nothing():
     assert check_motion(evidence(late=7200.0), Imu(), True) == ()
