@@ -74,6 +74,13 @@ class Sensor(Section):
         return pose_matrix(self.T_base_sensor)
 
 
+class LidarSensor(Sensor):
+    """A LiDAR."""
+
+    sectors: bool = False
+    """Its clouds are parts of a sweep, to be gathered into whole ones; a bag shows it by itself."""
+
+
 class Imu(Sensor):
     """The IMU: as any sensor, with what its messages' numbers are to be multiplied by."""
 
@@ -364,7 +371,7 @@ def _lidar_sections(value: object) -> object:
     return {name: value.get(name, {}) for name in names}
 
 
-Lidars: TypeAlias = Annotated[dict[str, Sensor], BeforeValidator(_lidar_sections)]
+Lidars: TypeAlias = Annotated[dict[str, LidarSensor], BeforeValidator(_lidar_sections)]
 
 
 class Config(Section):

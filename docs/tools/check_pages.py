@@ -26,7 +26,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from incremental_mapper.cli.main import COMMANDS, make_parser
-from incremental_mapper.config import Config, Section, Sensor
+from incremental_mapper.config import Config, LidarSensor, Section
 from incremental_mapper.datasets.bags import SETTINGS_FILE
 from incremental_mapper.errors import ConfigError
 from incremental_mapper.selection.strategies import GROUP, strategy_names
@@ -496,9 +496,11 @@ def _check_setting(setting: re.Match[str]) -> list[str]:
 
 
 def _check_sensor(lidar: str, field: str | None) -> list[str]:
-    if field is None or field[1:] in Sensor.model_fields:
+    if field is None or field[1:] in LidarSensor.model_fields:
         return []
-    return [f'lidars.{lidar}{field} is no setting; a LiDAR has {", ".join(Sensor.model_fields)}']
+    return [
+        f'lidars.{lidar}{field} is no setting; a LiDAR has {", ".join(LidarSensor.model_fields)}'
+    ]
 
 
 def _check_path(span: str) -> list[str]:

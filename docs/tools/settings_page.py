@@ -12,7 +12,7 @@ from markdown.extensions.toc import slugify
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from incremental_mapper.config import Config, Sensor
+from incremental_mapper.config import Config, LidarSensor, Sensor
 
 HEAD = """---
 search:
@@ -116,7 +116,7 @@ def page() -> str:
     """The whole page."""
     more = advice()
     found = {name: list(settings(name, model)) for name, model in sections().items()}
-    sensors = list(settings('lidars.NAME', Sensor))
+    sensors = list(settings('lidars.NAME', LidarSensor))
     parts = [HEAD, '## At a glance', _glance(found), '## Sensors {#lidars}', SENSORS]
     parts += [_entry(item, item.name.replace('NAME', 'name')) for item in sensors]
     for name, items in found.items():
@@ -126,7 +126,7 @@ def page() -> str:
 
 
 def _glance(found: dict[str, list[Setting]]) -> str:
-    paragraphs = ['**[sensors](#lidars)** topic, T_base_sensor, time_offset']
+    paragraphs = ['**[sensors](#lidars)** topic, T_base_sensor, time_offset, sectors']
     for section, items in found.items():
         links = ', '.join(f'[{item.name.partition(".")[2]}](#{item.name})' for item in items)
         paragraphs.append(f'**[{section}](#{section})** {links}')

@@ -11,18 +11,20 @@ FEWEST_CLOUDS = 12
 """Clouds that tell what a LiDAR sends."""
 _BINS = 72
 _PARTIAL = 0.6
-"""Share of the turn that all clouds together cover, below which single ones are partial. Whole
-sweeps have 1.0, halves 0.5."""
+"""Share of the turn that all clouds together cover, below which single ones are partial. In whole
+sweeps of KITTI, MulRan and the simulated drives it was 0.78 or more, in halves it is 0.5."""
 _OVERLAP = 0.5
 """Share of a cloud's directions that the next cloud of a turning LiDAR has too, at most, where each
 is a part of the sweep. A LiDAR that looks one way covers the same each time."""
 _DENSE = 3.0
 """Points for each of the directions that a cloud covers; with fewer nothing can be told."""
 _ALTERNATE = 0.35
-"""How much more a cloud is like the one before the last than like the last, where two LiDARs take
-turns. One LiDAR has about 1.3 on a street, more on a turn."""
+"""How far a cloud is from the one before the last, by how far it is from the last, at most where
+two LiDARs take turns. In all stretches of 12 to 24 clouds (560 of one LiDAR: KITTI, MulRan,
+simulated drives that stand, turn, speed up) it was 0.64 or more, mostly 0.9 to 1.8; of two LiDARs
+with a VLP-16's tilt between them 0.12 to 0.30."""
 _APART = 0.3
-"""Metres by which the clouds of two LiDARs differ at least, on average."""
+"""Metres by which mean and spread of two LiDARs' clouds differ at least; it was 4 to 6 m."""
 
 
 def partial_sweeps(clouds: Sequence[Points]) -> float | None:
@@ -58,6 +60,25 @@ def take_turns(clouds: Sequence[Points]) -> bool:
     last = float(np.median(np.abs(kinds[1:] - kinds[:-1]).sum(axis=1)))
     before = float(np.median(np.abs(kinds[2:] - kinds[:-2]).sum(axis=1)))
     return last > _APART and before < _ALTERNATE * last
+
+
+def sector_clouds(lidar: str, topic: str, share: float) -> Finding:
+    """Clouds are parts of a sweep: see ``partial_sweeps``.
+
+    Args:
+        lidar: Whose they are.
+        topic: Where they come.
+        share: What ``partial_sweeps`` returned.
+    """
+    return Finding(
+        'sector_clouds',
+        Severity.MENDED,
+        lidar,
+        f'sends partial sweeps: a cloud of {topic} covers {100 * share:.0f} % of the directions '
+        'that its clouds cover together',
+        f'gathered into whole sweeps (lidars.{lidar}.sectors: true)',
+        {'lidars': {lidar: {'sectors': True}}},
+    )
 
 
 def two_lidars_one_frame(lidar: str, topic: str, frame: str) -> Finding:

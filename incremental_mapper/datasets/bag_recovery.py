@@ -28,6 +28,7 @@ from incremental_mapper.checks.recording_files import (
     unknown_storage,
     wrong_metadata,
 )
+from incremental_mapper.datasets.livox import LIVOX_TYPES, livox_cloud
 from incremental_mapper.measurements import NANOSECONDS
 
 _HEADER_BYTES = 9
@@ -75,6 +76,15 @@ class BagReader(AnyReader):
             storage = getattr(reader, 'storage', None)
             if isinstance(storage, DirectoryReader):
                 self._damage.metadata.extend(_mend_metadata(storage))
+
+    def deserialize(self, rawdata: bytes, typ: str) -> object:
+        """Decode a message; of a Livox ``CustomMsg`` a cloud is made, whether or not it is known.
+
+        Raises MeasurementError, or whatever the library stumbles over, where it is damaged.
+        """
+        if typ in LIVOX_TYPES:
+            return livox_cloud(rawdata, ros1=not self.is2)
+        return super().deserialize(rawdata, typ)
 
     @property
     def findings(self) -> list[Finding]:

@@ -1,17 +1,20 @@
 """ROS bags as a source of measurements: rosbag2 (MCAP, SQLite) and ROS 1."""
 
 import heapq
+import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
+from rosbags.interfaces import Connection
 from scipy.spatial.transform import Rotation
 
-from incremental_mapper.checks.sweeps import other_frame, two_lidars_one_frame
+from incremental_mapper.checks.cloud_copies import copied_from
+from incremental_mapper.checks.sweeps import other_frame, sector_clouds, two_lidars_one_frame
 from incremental_mapper.config import Tree
 from incremental_mapper.datasets.bag_files import Topic, bag_files, open_bag
 from incremental_mapper.datasets.bag_recovery import BagReader
@@ -33,14 +36,12 @@ from incremental_mapper.datasets.message_conversion import (
 )
 from incremental_mapper.datasets.remarks import Remarks
 from incremental_mapper.datasets.sampling import SamplePlan, SensorKind, SensorSample
-from incremental_mapper.datasets.sensor_settings import (
-    extrinsics_of,
-    listed_lidars,
-)
+from incremental_mapper.datasets.sectors import NO_POINTS, SectorGatherer
+from incremental_mapper.datasets.sensor_settings import extrinsics_of, listed_lidars
 from incremental_mapper.datasets.source import SourceInfo
 from incremental_mapper.datasets.static_transforms import STATIC_TOPIC
 from incremental_mapper.datasets.topics import (
-    CLOUD,
+    CLOUDS,
     IMU,
     FrameTopic,
     TopicChoice,
@@ -85,7 +86,7 @@ class BagSource:
             looks = {
                 topic.name: look_at_clouds(reader, topic)
                 for topic in self._topics
-                if topic.type == CLOUD and topic.count
+                if topic.type in CLOUDS and topic.count
             }
             counts = {
                 topic.name: look.frames if len(look.frames) < 2 else count_frames(reader, topic)
@@ -96,17 +97,23 @@ class BagSource:
             several = len(imus) > 1 and not config.imu.topic
             gravity = config.preintegration.gravity
             unsound = look_at_imus(reader, imus, gravity) if several else {}
-            self._choice = choose_topics(path, self._topics, config, counts, unsound)
-            _refuse_parts(path, self._choice, looks)
+            copies = copied_from(
+                {name: look.topic() for name, look in looks.items() if len(look.frames) == 1}
+            )
+            self._choice = choose_topics(path, self._topics, config, counts, unsound, copies)
             self._frames = {
                 name: topic.frame
                 if isinstance(topic, FrameTopic)
                 else next(iter(counts.get(topic.name, {})), None) or look_at_frame(reader, topic)
                 for name, topic in self._choice.topics.items()
             }
-            extrinsics = find_extrinsics(
-                reader, merge(own, tree), self._frames, self._choice.lidars
-            )
+            sizes = {
+                name: topic.count * looks[topic.name].points.get(self._frames[name], 0.0)
+                for name, topic in self._choice.topics.items()
+                if name in self._choice.lidars
+            }
+            extrinsics = find_extrinsics(reader, merge(own, tree), self._frames, sizes)
+            self._choice = self._choice.without(extrinsics.left_out)
             self._begin, self._end = reader.start_time, reader.end_time
             lidars = self._looked_at(looks)
             self._sensors: dict[str, dict[str | None, str]] = {}
@@ -115,6 +122,7 @@ class BagSource:
                 self._sensors.setdefault(topic.name, {})[frame] = name
             clock_look = ClockLook(reader, self._sensors)
             clocks = check_clocks(clock_look.clocks, merge(own, tree), list(self._choice.topics))
+            sectors = {name: look.partial for name, _, look in lidars if look.partial is not None}
             notes = [
                 *self._choice.notes,
                 *extrinsics.notes,
@@ -125,6 +133,10 @@ class BagSource:
                 *self._choice.findings,
                 *extrinsics.findings,
                 *(
+                    sector_clouds(name, self._choice.topics[name].name, share)
+                    for name, share in sectors.items()
+                ),
+                *(
                     two_lidars_one_frame(name, self._choice.topics[name].name, frame)
                     for name, frame, look in lidars
                     if look.alternating
@@ -133,15 +145,21 @@ class BagSource:
             ]
         self._offsets, self._apart = clocks.offsets, clocks.apart
         self._order_shifts = clock_look.order_shifts(clocks.offsets)
+        self._gathered = {name for name, lidar in config.lidars.items() if lidar.sectors}
+        self._gathered = (self._gathered | set(sectors)) & set(self._choice.lidars)
+        self._messages = {name: topic.count for name, topic in self._choice.topics.items()}
         self._info = SourceInfo(
             path=path,
             kind='ROS 1 bag' if self._files[0].suffix == '.bag' else 'ROS 2 bag',
-            counts={name: topic.count for name, topic in self._choice.topics.items()},
+            counts={
+                name: math.ceil(count * sectors.get(name, 1.0))
+                for name, count in self._messages.items()
+            },
             duration=max(self._end - self._begin, 0) / NANOSECONDS,
             settings=merge(
                 merge(
                     merge(own, _topic_settings(self._choice, list(config.lidars))),
-                    extrinsics.settings,
+                    merge(extrinsics.settings, _sector_settings(sectors)),
                 ),
                 clocks.settings,
             ),
@@ -175,12 +193,14 @@ class BagSource:
         self._remarks = Remarks()
         self._other_frames = Counter()
         converters = self._converters()
-        left = Counter(self._info.counts)
+        gatherers = {name: SectorGatherer() for name in self._gathered}
+        left = Counter(self._messages)
         with self._open() as reader:
-            for topic, message_type, data in self._raw(reader, left):
+            for connection, data in self._raw(reader, left):
+                topic = connection.topic
                 try:
                     # On damaged data the decoder raises whatever it stumbles over.
-                    message = reader.deserialize(data, message_type)
+                    message = reader.deserialize(data, connection.msgtype)
                 except Exception:
                     sensor = next(iter(self._sensors[topic].values()))
                     left[sensor] -= 1
@@ -198,10 +218,22 @@ class BagSource:
                 try:
                     measurement = converters[sensor](message)
                 except MeasurementError as error:
-                    self._drops[sensor, error.reason] += 1
+                    # A sector of the sky has no points, and is no loss.
+                    if sensor not in gatherers or error.reason not in NO_POINTS:
+                        self._drops[sensor, error.reason] += 1
                     continue
+                if isinstance(measurement, LidarScan) and sensor in gatherers:
+                    sweep = gatherers[sensor].take(measurement)
+                    if sweep is None:
+                        continue
+                    measurement = sweep
                 self._remarks.take(measurement)
                 yield measurement
+        for gatherer in gatherers.values():
+            last = gatherer.finish()
+            if last is not None:
+                self._remarks.take(last)
+                yield last
 
     def sample(self, plan: SamplePlan) -> tuple[SensorSample, ...]:
         """Read a sample of every sensor; the rest of the bag is not read."""
@@ -223,13 +255,16 @@ class BagSource:
         """See ``Sampled``."""
         convert = self._converters()[sensor]
         topic = self._choice.topics[sensor].name
+        gatherer = SectorGatherer() if sensor in self._gathered else None
         with self._open() as reader:
             for message in read_span(reader, topic, start, stop):
                 try:
                     if self._sensor(topic, message) == sensor:
                         scan = convert(message)
                         assert isinstance(scan, LidarScan)
-                        yield scan
+                        sweep = scan if gatherer is None else gatherer.take(scan)
+                        if sweep is not None:
+                            yield sweep
                 except (MeasurementError, AttributeError):
                     continue
 
@@ -295,8 +330,8 @@ class BagSource:
         finally:
             reader.close()
 
-    def _raw(self, reader: BagReader, left: Counter[str]) -> Iterator[tuple[str, str, bytes]]:
-        """(topic, type, data) of the sensors' messages; counts those that the bag lost.
+    def _raw(self, reader: BagReader, left: Counter[str]) -> Iterator[tuple[Connection, bytes]]:
+        """(connection, data) of the sensors' messages; counts those that the bag lost.
 
         ``left`` is how many messages of each sensor are still to come.
         """
@@ -308,11 +343,11 @@ class BagSource:
                 break
             # On a damaged chunk the reader raises whatever it stumbles over, or skips it.
             except Exception as error:
-                if left == Counter(self._info.counts):
+                if left == Counter(self._messages):
                     reason = ' '.join(str(error).split()) or type(error).__name__
                     raise InputError(f'{self._path}: no message can be read ({reason})') from error
                 break
-            yield connection.topic, connection.msgtype, data
+            yield connection, data
         self._drops.update({(name, 'damaged'): n for name, n in left.items() if n > 0})
 
     def _in_turn(self, reader: BagReader) -> Iterator[tuple[Any, int, bytes]]:
@@ -366,20 +401,6 @@ def _shifted(
         yield connection, logged + shift, data
 
 
-def _refuse_parts(path: Path, choice: TopicChoice, looks: Mapping[str, TopicLook]) -> None:
-    """Refuse LiDARs whose clouds are parts of a sweep: neighbours have nothing in common."""
-    for name in choice.lidars:
-        topic = choice.topics[name]
-        share = looks[topic.name].partial
-        if share is not None:
-            raise InputError(
-                f'{path}: LiDAR {name} sends partial sweeps: a cloud of {topic.name} covers '
-                f'{100 * share:.0f} % of the directions that its clouds cover together; let the '
-                'driver gather whole sweeps, or use its topic that has them '
-                f'(lidars.{name}.topic)'
-            )
-
-
 def _own_settings(folder: Path, listed: list[str] | None) -> Tree:
     """The settings file beside a bag, without the LiDARs that the user does not list."""
     path = folder / SETTINGS_FILE
@@ -401,3 +422,8 @@ def _topic_settings(choice: TopicChoice, configured: list[str]) -> Tree:
     return {'lidars': lidars} | {
         name: value for name, value in chosen.items() if name not in choice.lidars
     }
+
+
+def _sector_settings(lidars: Collection[str]) -> Tree:
+    """Settings tree that has the sectors of these LiDARs gathered."""
+    return {'lidars': {name: {'sectors': True} for name in lidars}} if lidars else {}

@@ -15,6 +15,8 @@ from incremental_mapper.checks.sensor_places import (
     equal_extrinsics,
     extrinsics_differ,
     identity_extrinsics,
+    lidars_left_out,
+    unplaced_lidars,
 )
 from incremental_mapper.config import Tree
 from incremental_mapper.datasets.sensor_settings import extrinsics_of
@@ -40,18 +42,20 @@ class Extrinsics:
             transforms tell of, as a settings tree.
         notes: where each pose is from.
         findings: what is wrong with them.
+        left_out: LiDARs that nobody places beside the others.
     """
 
     settings: Tree
     notes: tuple[str, ...]
     findings: tuple[Finding, ...]
+    left_out: tuple[str, ...] = ()
 
 
 def find_extrinsics(
     reader: AnyReader,
     settings: Mapping[str, Any],
     frames: Mapping[str, str],
-    lidars: tuple[str, ...],
+    lidars: Mapping[str, float],
 ) -> Extrinsics:
     """Find T_base_sensor of every sensor that the settings say nothing of.
 
@@ -59,7 +63,7 @@ def find_extrinsics(
         reader: an open bag.
         settings: all settings that there are, as nested dictionaries.
         frames: the frame_id of each sensor's messages.
-        lidars: which of the sensors are LiDARs.
+        lidars: which of the sensors are LiDARs, and how many points each has.
 
     Returns:
         Their poses, as far as they can be told.
@@ -98,9 +102,13 @@ def place_sensors(
             name in lidars,
             None if given[name] is None else pose_matrix(given[name]),
             _pose(tree, frame),
+            lidars.get(name, 0.0),
         )
         for name, frame in frames.items()
     ]
+    left_out = unplaced_lidars(places)
+    without = lidars_left_out(places)
+    places = [place for place in places if place.sensor not in left_out]
     notes: list[str] = []
     found: Tree = {}
     for place in places:
@@ -119,11 +127,12 @@ def place_sensors(
         notes.append(f'T_base_sensor of {", ".join(from_settings)}: from the settings')
     findings = [
         *tree.findings,
+        *without,
         *identity_extrinsics(places),
         *extrinsics_differ(places),
         *equal_extrinsics(places),
     ]
-    return Extrinsics(found, tuple(notes), tuple(findings))
+    return Extrinsics(found, tuple(notes), tuple(findings), tuple(left_out))
 
 
 def _pose(tree: FrameTree, frame: str) -> Vector | None:

@@ -6,17 +6,22 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from rosbags.highlevel import AnyReader
 
-from incremental_mapper.checks.sweeps import partial_sweeps, take_turns
+from incremental_mapper.checks.cloud_copies import FULL_CLOUDS, CloudTopic
+from incremental_mapper.checks.sweeps import FEWEST_CLOUDS, partial_sweeps, take_turns
 from incremental_mapper.datasets.bag_files import Topic
-from incremental_mapper.datasets.message_conversion import describe_times
+from incremental_mapper.datasets.bag_recovery import BagReader
+from incremental_mapper.datasets.message_conversion import describe_times, header_stamp
 from incremental_mapper.datasets.point_clouds import cloud_points, cloud_table
 from incremental_mapper.errors import MeasurementError
+from incremental_mapper.measurements import Points
 
-LOOKED_AT = 24
-"""First clouds that are looked at: two sweeps of a LiDAR that sends tenths, and some."""
+LOOKED_AT = 2 * FEWEST_CLOUDS
+"""First clouds that are looked at where each is a part of a sweep: two sweeps of tenths, and some;
+half as many tell of whole sweeps."""
+_SAMPLE = 4001
+"""Points of a cloud that are looked at. It is prime: a step through the cloud stays in no step with
+the lasers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,37 +31,55 @@ class TopicLook:
     Attributes:
         frames: number of messages by frame_id.
         times: what the points' times are, by frame_id, in words.
+        points: usable points of a cloud, by frame_id; the median.
+        sizes: usable points of each cloud, by stamp.
+        whole: usable points (N, 3) of the first few clouds, by stamp.
         partial: share of the sweep in one cloud, where clouds are parts of one; else None.
         alternating: whether two kinds of clouds take turns under one frame_id.
     """
 
     frames: dict[str, int]
     times: dict[str, str]
+    points: dict[str, float]
+    sizes: dict[int, int]
+    whole: dict[int, Points]
     partial: float | None = None
     alternating: bool = False
 
+    def topic(self) -> CloudTopic:
+        """The evidence of whether these are copies of another topic's clouds."""
+        return CloudTopic(next(iter(self.frames), ''), self.sizes, self.whole)
 
-def look_at_frame(reader: AnyReader, topic: Topic) -> str:
+
+def look_at_frame(reader: BagReader, topic: Topic) -> str:
     """Read the frame_id of the first message that can be read, or '' where none can."""
     for message in messages_of(reader, topic):
         return _frame(message)
     return ''
 
 
-def look_at_clouds(reader: AnyReader, topic: Topic) -> TopicLook:
+def look_at_clouds(reader: BagReader, topic: Topic) -> TopicLook:
     """Look at the first clouds of a topic; those that cannot be read say nothing.
 
     Args:
         reader: an open bag.
-        topic: one of ``sensor_msgs/PointCloud2``.
+        topic: one of clouds.
 
     Returns:
         What they show.
     """
     frames: Counter[str] = Counter()
     times: dict[str, str] = {}
-    clouds: list[NDArray[np.float32]] = []
+    by_frame: dict[str, list[int]] = {}
+    sizes: dict[int, int] = {}
+    whole: dict[int, Points] = {}
+    clouds: list[Points] = []
+    partial = None
     for count, message in enumerate(messages_of(reader, topic)):
+        if count == FEWEST_CLOUDS and len(frames) == 1:
+            partial = partial_sweeps(clouds)
+            if partial is None:
+                break
         if count >= LOOKED_AT:
             break
         frame = _frame(message)
@@ -64,25 +87,47 @@ def look_at_clouds(reader: AnyReader, topic: Topic) -> TopicLook:
         try:
             if frame not in times:
                 times[frame] = describe_times(message)
-            points = cloud_points(cloud_table(message).points)
+            stamp, points = header_stamp(message), _usable(message)
         except MeasurementError:
             continue
-        clouds.append(points[np.isfinite(points).all(axis=1) & points.any(axis=1)])
+        sizes[stamp] = len(points)
+        by_frame.setdefault(frame, []).append(len(points))
+        if len(whole) < FULL_CLOUDS:
+            whole[stamp] = points
+        clouds.append(_sample(points))
     one = len(frames) == 1
     return TopicLook(
         dict(frames),
         times,
-        partial_sweeps(clouds) if one else None,
+        {frame: float(np.median(found)) for frame, found in by_frame.items()},
+        sizes,
+        whole,
+        partial_sweeps(clouds) if one and partial is not None else None,
         one and take_turns(clouds),
     )
 
 
-def count_frames(reader: AnyReader, topic: Topic) -> Counter[str]:
+def _usable(message: Any) -> Points:
+    """The points of a cloud that are some; raises MeasurementError where there is no cloud."""
+    points = cloud_points(cloud_table(message).points)
+    with np.errstate(over='ignore', invalid='ignore'):
+        distance = np.abs(points).sum(axis=1)
+    usable: Points = points[np.isfinite(distance) & (distance > 0.0)]
+    return usable
+
+
+def _sample(points: Points) -> Points:
+    if len(points) <= _SAMPLE:
+        return points
+    return points[np.arange(_SAMPLE) * len(points) // _SAMPLE]
+
+
+def count_frames(reader: BagReader, topic: Topic) -> Counter[str]:
     """Count all messages of a topic by frame_id; unreadable ones are left out."""
     return Counter(_frame(message) for message in messages_of(reader, topic))
 
 
-def messages_of(reader: AnyReader, topic: Topic) -> Iterator[Any]:
+def messages_of(reader: BagReader, topic: Topic) -> Iterator[Any]:
     """Read the messages of a topic that can be read, up to the first damaged chunk."""
     connections = [c for c in reader.connections if c.topic == topic.name]
     if not connections:

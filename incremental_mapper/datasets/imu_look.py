@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from contextlib import suppress
 
 import numpy as np
-from rosbags.highlevel import AnyReader
 
 from incremental_mapper.checks.imu_choice import implausible_imu
 from incremental_mapper.datasets.bag_files import Topic
+from incremental_mapper.datasets.bag_recovery import BagReader
 from incremental_mapper.datasets.first_look import messages_of
 from incremental_mapper.datasets.message_conversion import imu_from_message
 from incremental_mapper.errors import MeasurementError
@@ -19,7 +19,7 @@ MOST = 2000
 """Messages that are looked at whatever their stamps say."""
 
 
-def look_at_imus(reader: AnyReader, topics: Sequence[Topic], gravity: float) -> dict[str, str]:
+def look_at_imus(reader: BagReader, topics: Sequence[Topic], gravity: float) -> dict[str, str]:
     """Look at the first seconds of each IMU.
 
     Args:
@@ -34,7 +34,7 @@ def look_at_imus(reader: AnyReader, topics: Sequence[Topic], gravity: float) -> 
     return {topic: reason for topic, reason in reasons.items() if reason is not None}
 
 
-def _reason(reader: AnyReader, topic: Topic, gravity: float) -> str | None:
+def _reason(reader: BagReader, topic: Topic, gravity: float) -> str | None:
     samples: list[ImuSample] = []
     for count, message in enumerate(messages_of(reader, topic)):
         with suppress(MeasurementError):

@@ -1,6 +1,6 @@
 """What the user's settings say about the sensors of an input."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -36,7 +36,7 @@ def with_settings(measurement: Measurement, config: Config) -> Measurement:
     return replace(measurement, stamp=measurement.stamp + offset) if offset else measurement
 
 
-def extrinsics_of(settings: Mapping[str, Any], name: str, lidars: Sequence[str]) -> Any:
+def extrinsics_of(settings: Mapping[str, Any], name: str, lidars: Container[str]) -> Any:
     """T_base_sensor of a sensor as settings have it, or None where they say nothing of it.
 
     Args:

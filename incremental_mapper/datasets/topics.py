@@ -1,7 +1,7 @@
 """Which topics of a bag are the sensors: those that the settings name, else the likely ones."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from incremental_mapper.checks.chosen_topics import missing_topic
@@ -10,9 +10,11 @@ from incremental_mapper.checks.imu_choice import other_imu
 from incremental_mapper.checks.sweeps import several_frames
 from incremental_mapper.config import Config, Sensor
 from incremental_mapper.datasets.bag_files import Topic, describe_topics
+from incremental_mapper.datasets.livox import LIVOX_TYPES
 from incremental_mapper.errors import InputError
 
 CLOUD = 'sensor_msgs/msg/PointCloud2'
+CLOUDS = (CLOUD, *LIVOX_TYPES)
 IMU = 'sensor_msgs/msg/Imu'
 FIX = 'sensor_msgs/msg/NavSatFix'
 ODOMETRY = 'nav_msgs/msg/Odometry'
@@ -33,9 +35,6 @@ CONVERTERS = {
     'nebula_msgs/msg/NebulaPackets': 'nebula_ros',
     'rslidar_msg/msg/RslidarPacket': 'rslidar_sdk (msg_source: 2)',
     'rslidar_msgs/msg/RslidarScan': 'rslidar_sdk (msg_source: 2)',
-    'livox_ros_driver/msg/CustomMsg': 'livox_ros_driver (xfer_format: 0 when recording)',
-    'livox_ros_driver2/msg/CustomMsg': 'livox_ros_driver2 (xfer_format: 0 when recording)',
-    'livox_interfaces/msg/CustomMsg': 'livox_ros2_driver (xfer_format: 0 when recording)',
 }
 """Types that LiDARs of a vendor have, and what makes clouds of them."""
 
@@ -56,6 +55,12 @@ class TopicChoice:
     notes: tuple[str, ...]
     findings: tuple[Finding, ...] = ()
 
+    def without(self, sensors: Collection[str]) -> 'TopicChoice':
+        """The choice with some sensors left out."""
+        topics = {name: topic for name, topic in self.topics.items() if name not in sensors}
+        lidars = tuple(name for name in self.lidars if name not in sensors)
+        return replace(self, topics=topics, lidars=lidars)
+
 
 def choose_topics(
     path: Path,
@@ -63,6 +68,7 @@ def choose_topics(
     config: Config,
     frames: Mapping[str, Mapping[str, int]] | None = None,
     unsound: Mapping[str, str] | None = None,
+    copies: Mapping[str, str] | None = None,
 ) -> TopicChoice:
     """Find the LiDARs', the IMU's and the receiver's topics.
 
@@ -73,6 +79,7 @@ def choose_topics(
         frames: number of messages by frame_id of the cloud topics, where that is known; a topic
             with several is that of several LiDARs.
         unsound: what is wrong with IMUs, by topic; they are taken only where there is no other.
+        copies: cloud topics that are copies of another one, and of which.
 
     Returns:
         The topics; of several that could be meant, the one with the most messages.
@@ -91,14 +98,14 @@ def choose_topics(
     counts = frames or {}
     single = {name: next(iter(found)) for name, found in counts.items() if len(found) == 1}
     split = _by_frame(topics, counts, findings)
-    lidars = _lidars(path, split, config.lidars, single, notes, findings)
+    lidars = _lidars(path, split, config.lidars, single, copies or {}, notes, findings)
     chosen = dict(lidars)
     shared = [a for a in lidars if any(lidars[a] == lidars[b] for b in lidars if b != a)]
     if shared:
         raise InputError(f'{path}: LiDARs {", ".join(shared)} have the same topic')
     for name, sensor, kind in (('imu', config.imu, IMU), ('gnss', config.gnss, FIX)):
         topic = (
-            _named(path, topics, name, f'{name}.topic', sensor.topic, kind, findings)
+            _named(path, topics, name, f'{name}.topic', sensor.topic, (kind,), findings)
             if sensor.topic
             else _likeliest(topics, name, kind, notes, findings, unsound or {})
         )
@@ -122,7 +129,7 @@ def _by_frame(
     split: list[Topic] = []
     for topic in topics:
         counts = frames.get(topic.name, {})
-        if topic.type != CLOUD or len(counts) < 2:
+        if topic.type not in CLOUDS or len(counts) < 2:
             split.append(topic)
             continue
         split.extend(
@@ -147,24 +154,44 @@ def _without_maps(clouds: list[Topic], frames: Mapping[str, str], notes: list[st
     return kept
 
 
+def _without_copies(
+    clouds: list[Topic], copies: Mapping[str, str], notes: list[str]
+) -> list[Topic]:
+    """The clouds that nobody made of others that are there."""
+    there = {topic.name for topic in clouds}
+    kept = []
+    for topic in clouds:
+        original = copies.get(topic.name)
+        if original in there:
+            notes.append(
+                f'{topic.name}: has the stamps and the points of {original}; left out '
+                '(copied_clouds); lidars.<name>.topic uses it all the same'
+            )
+        else:
+            kept.append(topic)
+    return kept
+
+
 def _lidars(
     path: Path,
     topics: Sequence[Topic],
     sensors: Mapping[str, Sensor],
     frames: Mapping[str, str],
+    copies: Mapping[str, str],
     notes: list[str],
     findings: list[Finding],
 ) -> dict[str, Topic]:
-    clouds = [topic for topic in topics if topic.type == CLOUD and topic.count]
+    clouds = [topic for topic in topics if topic.type in CLOUDS and topic.count]
     chosen: dict[str, Topic] = {}
     for name, sensor in sensors.items():
         if sensor.topic:
             key = f'lidars.{name}.topic'
-            named = _named(path, topics, name, key, sensor.topic, CLOUD, findings)
+            named = _named(path, topics, name, key, sensor.topic, CLOUDS, findings)
             if named is not None:
                 chosen[name] = named
     free = [topic for topic in clouds if topic not in chosen.values()]
-    free = _without_maps(free, frames, notes) if len(chosen) < len(sensors) or not sensors else free
+    if len(chosen) < len(sensors) or not sensors:
+        free = _without_copies(_without_maps(free, frames, notes), copies, notes)
     if not sensors:
         chosen = _name_clouds(free)
         notes.extend(f'LiDAR {name}: topic {_called(topic)}' for name, topic in chosen.items())
@@ -203,7 +230,7 @@ def _named(
     sensor: str,
     key: str,
     name: str,
-    kind: str,
+    kinds: Sequence[str],
     findings: list[Finding],
 ) -> Topic | None:
     """The topic that the settings name; None with a finding where the bag lacks it.
@@ -214,12 +241,12 @@ def _named(
     # The node's topic names are relative; a bag's are absolute.
     found = [t for t in topics if t.name.lstrip('/') == name.lstrip('/')]
     if not found:
-        of_kind = sorted({t.name for t in topics if t.type == kind})
+        of_kind = sorted({t.name for t in topics if t.type in kinds})
         findings.append(missing_topic(sensor, key, name, of_kind))
         return None
-    if found[0].type != kind:
+    if found[0].type not in kinds:
         raise InputError(
-            f'{path}: topic {name!r} ({key}) is {found[0].type}, expected {kind}. '
+            f'{path}: topic {name!r} ({key}) is {found[0].type}, expected {kinds[0]}. '
             + describe_topics(topics)
         )
     fitting = [t for t in found if isinstance(t, FrameTopic) and sensor.lower() in t.frame.lower()]

@@ -16,7 +16,7 @@ from rcl_interfaces.msg import (
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from incremental_mapper.config import Config, Sensor, Tree
+from incremental_mapper.config import Config, LidarSensor, Tree
 from incremental_mapper.errors import ConfigError
 from incremental_mapper.settings import make_config, merge, to_tree
 
@@ -71,7 +71,7 @@ def declarations(config: Config) -> Iterator[tuple[str, Any, ParameterDescriptor
     names = ParameterDescriptor(description='Names of the LiDARs.', read_only=True)
     yield 'lidars.names', tree['lidars']['names'], names
     for lidar in config.lidars:
-        for name, info in Sensor.model_fields.items():
+        for name, info in LidarSensor.model_fields.items():
             place = f'lidars.{lidar}.{name}'
             yield place, tree['lidars'][lidar][name], _descriptor(place, info)
     for section, outer in Config.model_fields.items():

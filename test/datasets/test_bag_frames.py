@@ -141,21 +141,45 @@ def turns(count, frames, shift=4.0):
     return events
 
 
+def placed(*names, **more):
+    """Settings that give LiDARs a place each."""
+    lidars = {
+        name: {'T_base_sensor': [i, 0, 0, 0, 0, 0, 1], **more} for i, name in enumerate(names)
+    }
+    return {'lidars': {'names': list(names), **lidars}}
+
+
 def test_two_lidars_on_one_topic_are_told_apart_by_their_frames(tmp_path):
     bag = write(tmp_path / 'bag', turns(20, ['front_lidar', '/rear/lidar']))
-    source = open_source(bag, {})
-    assert source.info.counts == {'front_lidar': 10, 'rear_lidar': 10, 'imu': 1}
+    source = open_source(bag, placed('front', 'rear'))
+    assert source.info.counts == {'front': 10, 'rear': 10, 'imu': 1}
     scans = [m for m in source.measurements() if isinstance(m, LidarScan)]
-    assert [scan.sensor for scan in scans[:4]] == ['front_lidar', 'rear_lidar'] * 2
+    assert [scan.sensor for scan in scans[:4]] == ['front', 'rear'] * 2
     assert scans[1].points.mean() - scans[0].points.mean() == pytest.approx(4.1, abs=1e-3)
     assert source.drops == {} and len(said(source, 'several_frames')) == 1
-    assert not said(source, 'two_lidars_one_frame') and len(said(source, 'equal_ext')) == 1
+    assert not said(source, 'two_lidars_one_frame') and not said(source, 'extrinsics')
     for topic in ({}, {'topic': '/lidar'}):
-        tree = {'lidars': {'names': ['rear', 'front'], 'rear': topic, 'front': topic}}
+        tree = placed('rear', 'front', **topic)
         named = open_source(bag, tree)
         scans = [m for m in named.measurements() if isinstance(m, LidarScan)]
         assert [scan.sensor for scan in scans[:2]] == ['front', 'rear']
         make_config(merge(named.info.settings, tree))
+
+
+def test_a_lidar_that_nobody_places_beside_another_is_left_out(tmp_path):
+    events = turns(21, ['front', 'rear'])
+    bag = write(tmp_path / 'bag', events)
+    source = open_source(bag, {})
+    assert source.info.counts == {'front': 11, 'imu': 1}
+    assert source.info.settings['lidars']['names'] == ['front']
+    (line,) = said(source, 'lidar_left_out')
+    assert line.startswith('rear: ') and 'lidars.rear.T_base_sensor' in line
+    tf = transforms(('base_link', 'rear', (1, 0, 2), (0, 0, 0, 1)))
+    source = open_source(write(tmp_path / 'tf', [('/tf_static', tf), *events]), {})
+    assert source.info.counts == {'rear': 10, 'imu': 1}
+    one = [(topic, framed(m.__msgtype__, START, 'body')) for topic, m in events]
+    source = open_source(write(tmp_path / 'body', [*one, ('/other', one[1][1])]), {})
+    assert source.info.counts == {'lidar': 21, 'other': 1, 'imu': 1}
 
 
 @pytest.mark.parametrize(('shift', 'told'), [(4.0, 1), (0.0, 0)])
@@ -220,11 +244,18 @@ def sectors(path, parts, sweeps=3):
     return write(path, events)
 
 
-@pytest.mark.parametrize('parts', [2, 3, 10])
-def test_parts_of_sweeps_are_refused(tmp_path, parts):
-    with pytest.raises(InputError, match='partial sweeps') as caught:
-        open_source(sectors(tmp_path / 'bag', parts, 6), {})
-    assert '\n' not in str(caught.value) and '/scan' in str(caught.value)
+@pytest.mark.parametrize('parts', [2, 3, 10, 36])
+def test_parts_of_sweeps_are_gathered(tmp_path, parts):
+    source = open_source(sectors(tmp_path / 'bag', parts, 6), {})
+    (line,) = said(source, 'sector_clouds')
+    assert '/scan' in line and source.info.settings['lidars']['scan']['sectors'] is True
+    sweeps = list(source.measurements())
+    assert source.drops == {} and len(sweeps) >= 3
+    for sweep in sweeps[:-1]:
+        assert len(sweep.points) == 1440
+        spent = sweep.point_times.max() - sweep.point_times.min()
+        assert spent == pytest.approx(0.1, abs=0.1 / parts + 1e-3)
+    assert np.diff([sweep.stamp for sweep in sweeps[:-1]]) == pytest.approx(100 * MS, rel=1e-3)
 
 
 def test_whole_sweeps_and_narrow_views_are_not_parts(tmp_path):
