@@ -82,7 +82,7 @@ def place_sensors(
     sources: Sequence[str],
     settings: Mapping[str, Any],
     frames: Mapping[str, str],
-    lidars: tuple[str, ...],
+    lidars: Mapping[str, float],
 ) -> Extrinsics:
     """Say where the sensors are by the settings, else by transforms; as ``find_extrinsics``.
 

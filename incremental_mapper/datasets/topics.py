@@ -35,8 +35,11 @@ CONVERTERS = {
     'nebula_msgs/msg/NebulaPackets': 'nebula_ros',
     'rslidar_msg/msg/RslidarPacket': 'rslidar_sdk (msg_source: 2)',
     'rslidar_msgs/msg/RslidarScan': 'rslidar_sdk (msg_source: 2)',
+    'livox_ros_driver/msg/CustomMsg': 'livox_ros_driver (xfer_format: 0)',
+    'livox_ros_driver2/msg/CustomMsg': 'livox_ros_driver2 (xfer_format: 0)',
+    'livox_interfaces/msg/CustomMsg': 'livox_ros2_driver (xfer_format: 0)',
 }
-"""Types that LiDARs of a vendor have, and what makes clouds of them."""
+"""Types that LiDARs of a vendor have, and what makes clouds of them; bags with Livox's are read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +95,7 @@ def choose_topics(
         f'{topic.name}: {topic.type} is no cloud and is not read; {CONVERTERS[topic.type]} '
         'makes PointCloud2 of it (vendor_message)'
         for topic in topics
-        if topic.type in CONVERTERS and topic.count
+        if topic.type in CONVERTERS and topic.type not in CLOUDS and topic.count
     ]
     findings: list[Finding] = []
     counts = frames or {}

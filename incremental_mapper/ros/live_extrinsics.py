@@ -67,6 +67,7 @@ class LiveExtrinsics:
         self._frames: dict[str, str] = {}
         self._applied: Tree = {}
         self._told: set[str] = set()
+        self._left_out: frozenset[str] = frozenset()
         self._held: list[Measurement] = []
         self._open = not waiting
         self._since: float | None = None
@@ -100,7 +101,7 @@ class LiveExtrinsics:
             self._frames[measurement.sensor] = frame
             self._changed = True
         if self._open and not self._changed:
-            self._hand_on(measurement)
+            self._pass_on(measurement)
             return
         self._held.append(measurement)
         self._look()
@@ -130,6 +131,7 @@ class LiveExtrinsics:
         self._open = True
         if over:
             self.findings = places.findings
+            self._left_out = frozenset(places.left_out)
             self._changed = False
         for note in places.notes:
             if note not in self._told and self._ripe(note):
@@ -140,11 +142,17 @@ class LiveExtrinsics:
             names = ', '.join(_names(found))
             self._hand_on(Renewal(found, f'transforms tell where {names} are'))
         for measurement in self._held:
-            self._hand_on(measurement)
+            self._pass_on(measurement)
         self._held = []
 
-    def _seen_lidars(self) -> tuple[str, ...]:
-        return tuple(name for name in self._lidars if name in self._frames)
+    def _pass_on(self, measurement: Measurement) -> None:
+        """Hand a measurement on, unless it is of a LiDAR that nobody places beside the others."""
+        if measurement.sensor not in self._left_out:
+            self._hand_on(measurement)
+
+    def _seen_lidars(self) -> dict[str, float]:
+        # How many points each has is not known yet: the first of the settings counts most.
+        return {name: 0.0 for name in self._lidars if name in self._frames}
 
     def _all_placed(self, found: Tree) -> bool:
         """Whether every sensor has sent something, and somebody tells where it is."""
