@@ -22,10 +22,10 @@ from incremental_mapper.frontend.front_end import Prepared
 from incremental_mapper.frontend.lidar_odometry import PreparedScan
 from incremental_mapper.measurements import NANOSECONDS, ImuSample
 
-MOST_SAMPLES = 40_000
-"""Samples that are kept: 100 s at 400 Hz."""
-MOST_MATCHES = 1200
-"""Matches that are kept: 60 s of two LiDARs."""
+MOST_SAMPLES = 20_000
+"""Samples that are kept, up to twice as many between: 50 s at 400 Hz."""
+MOST_MATCHES = 1000
+"""Matches that are kept, the same way: 50 s of two LiDARs."""
 GROWTH = 1.6
 """The rules are asked again when there is so many times the evidence."""
 MARGIN = 0.05
@@ -48,7 +48,7 @@ class ImuWatch:
         self._settings = config.imu
         self._gravity = config.preintegration.gravity
         self._samples: list[ImuSample] = []
-        self._matches: list[PreparedScan] = []
+        self._matches: list[tuple[int, int, gtsam.Pose3]] = []  # both stamps, T_first_second
         self._due: int | None = None  # stamp at which gravity is looked at
         self._span = FIRST + MARGIN  # seconds of samples then
         self._enough = 2 * FEWEST  # matches at which the motion is looked at
@@ -62,6 +62,8 @@ class ImuWatch:
         if not self._settings.enabled:
             return ()
         self._samples.append(sample)
+        if len(self._samples) >= 2 * MOST_SAMPLES:
+            del self._samples[:MOST_SAMPLES]
         self._holes.pass_by(sample.stamp)
         if self._due is None:
             self._due = sample.stamp + round(self._span * NANOSECONDS)
@@ -71,20 +73,24 @@ class ImuWatch:
         later = [at + MARGIN for at in (SOON, LATE) if at > self._span]
         self._span = later[0] if later else 3.0 * self._span
         self._due = start + round(self._span * NANOSECONDS)
-        del self._samples[:-MOST_SAMPLES]
         return self._look_at_gravity()
 
     def matches(self, prepared: Sequence[Prepared]) -> Sequence[Finding]:
         """Keep the matches of a window; now and then hold the IMU against them."""
         if not self._settings.enabled:
             return ()
-        new = [item for item in prepared if isinstance(item, PreparedScan) and item.previous]
+        new = [
+            (item.previous, item.core.stamp, item.T_previous_current)
+            for item in prepared
+            if isinstance(item, PreparedScan) and item.previous and item.T_previous_current
+        ]
         self._matches += new
+        if len(self._matches) >= 2 * MOST_MATCHES:
+            del self._matches[:MOST_MATCHES]
         self._count += len(new)
         if self._count < self._enough:
             return ()
         self._enough = round(GROWTH * self._count)
-        del self._matches[:-MOST_MATCHES]
         return self._look_at_motion(last=False)
 
     def end(self) -> Sequence[Finding]:
@@ -112,13 +118,11 @@ class ImuWatch:
         if len(stamps) < 2 * FEWEST:
             return ()
         turn = self._settings.matrix()[:3, :3].T
-        moved = [item.T_previous_current for item in self._matches]
+        poses = [pose for *_, pose in self._matches]
         evidence = MotionEvidence(
-            spans=np.array([(i.previous, i.core.stamp) for i in self._matches], dtype=np.int64),
-            turns=np.array(
-                [gtsam.Rot3.Logmap(pose.rotation()) for pose in moved if pose is not None]
-            ),
-            shifts=np.array([pose.translation() for pose in moved if pose is not None]),
+            spans=np.array([span for *span, _ in self._matches], dtype=np.int64),
+            turns=np.array([gtsam.Rot3.Logmap(pose.rotation()) for pose in poses]),
+            shifts=np.array([pose.translation() for pose in poses]),
             stamps=stamps,
             gyro=gyro @ turn,
             force=force @ turn,
@@ -131,7 +135,7 @@ class ImuWatch:
     def _look_at_holes(self) -> Sequence[Finding]:
         if len(self._samples) < 2:
             return ()
-        holes, last = self._holes, max((item.core.stamp for item in self._matches), default=0)
+        holes, last = self._holes, max((stamp for _, stamp, _ in self._matches), default=0)
         behind = max(last - holes.last, 0)
         silent = behind if behind > self._max_gap else 0
         gaps = np.diff([sample.stamp for sample in self._samples]) / NANOSECONDS

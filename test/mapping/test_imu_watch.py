@@ -9,6 +9,7 @@ from imu_rig import START, rates, samples, velocities
 
 from incremental_mapper.candidates.model import CoreKind, CoreMeasurement
 from incremental_mapper.frontend.lidar_odometry import PreparedScan
+from incremental_mapper.mapping import imu_watch
 from incremental_mapper.mapping.imu_watch import ImuWatch
 from incremental_mapper.mapping.watch import Watch
 from incremental_mapper.measurements import ImuSample
@@ -85,3 +86,15 @@ def test_what_switches_the_imu_off_is_asked_of_who_runs_the_mapper():
     watch.prepared([match(at) for at in np.arange(0.3, 9.0, 0.1)])
     assert watch.mend == {'imu': {'enabled': False}}
     assert [found.rule for found in watch.mended()] == ['imu_gyro_frozen']
+
+
+def test_what_is_kept_does_not_grow_with_the_drive(monkeypatch):
+    monkeypatch.setattr(imu_watch, 'MOST_SAMPLES', 300)
+    monkeypatch.setattr(imu_watch, 'MOST_MATCHES', 30)
+    watch = ImuWatch(make_config({}))
+    for sample in imu():
+        watch.sample(sample)
+        assert len(watch._samples) < 600
+    for at in np.arange(0.3, 9.0, 0.1):
+        watch.matches([match(at)])
+        assert len(watch._matches) < 60
