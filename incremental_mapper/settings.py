@@ -5,7 +5,7 @@ A YAML file may hold the sections directly or in the layout of a ROS parameter f
 """
 
 import difflib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,9 @@ from pydantic import BaseModel, ValidationError
 
 from incremental_mapper.config import Config, Sensor, Tree
 from incremental_mapper.errors import ConfigError
+
+_FEW = 5
+"""Unknown names that are listed; a wrong file may have hundreds."""
 
 
 def merge(low: Mapping[str, Any], high: Mapping[str, Any]) -> Tree:
@@ -49,11 +52,18 @@ def read_yaml(path: Path) -> Tree:
 
 def make_config(tree: Mapping[str, Any], where: str = 'settings') -> Config:
     """Check a nested dictionary against the schema; ``where`` names its origin in messages."""
+    strangers = [str(name) for name in tree if name not in Config.model_fields]
+    if strangers and len(strangers) == len(tree) and not _close(strangers):
+        told = ', '.join(strangers[:_FEW]) + ' and more' * (len(strangers) > _FEW)
+        are = 'is no section' if len(strangers) == 1 else 'are no sections'
+        raise ConfigError(
+            f'{where}: is no settings file: {told} {are}; known names: '
+            f'{", ".join(sorted(Config.model_fields))}'
+        )
     try:
         return Config.model_validate(dict(tree))
     except ValidationError as error:
-        lines = [_explain(dict(item)) for item in error.errors()]
-        raise ConfigError(f'{where}: ' + '; '.join(lines)) from error
+        raise ConfigError(f'{where}: ' + '; '.join(_explain(error))) from error
 
 
 def load_config(path: Path | str) -> Config:
@@ -87,21 +97,39 @@ def write_ros_yaml(path: Path, tree: Mapping[str, Any], comment: str = '') -> No
     path.write_text(head + body, encoding='utf-8')
 
 
-def _explain(item: dict[str, Any]) -> str:
-    location = [str(part) for part in item['loc']]
-    name = '.'.join(location)
-    if item['type'] == 'extra_forbidden':
-        known = _names_beside(location)
-        close = difflib.get_close_matches(location[-1], known, n=1, cutoff=0.5)
-        remedy = f'did you mean {close[0]!r}?' if close else f'known names: {", ".join(known)}'
-        return f'{name} is no setting; {remedy}'
-    message = str(item['msg']).removeprefix('Value error, ').removeprefix('Input ')
-    return f'{name} is {item.get("input")!r}; {message}'
+def _explain(error: ValidationError) -> list[str]:
+    """What is wrong, setting by setting; the known names of a section once."""
+    lines: list[str] = []
+    unknown: dict[tuple[str, ...], list[str]] = {}
+    for item in error.errors():
+        *section, last = (str(part) for part in item['loc'])
+        name = '.'.join([*section, last])
+        if item['type'] != 'extra_forbidden':
+            message = str(item['msg']).removeprefix('Value error, ').removeprefix('Input ')
+            lines.append(f'{name} is {item.get("input")!r}; {message}')
+            continue
+        close = difflib.get_close_matches(last, _names_in(section), n=1, cutoff=0.5)
+        if close:
+            lines.append(f'{name} is no setting; did you mean {close[0]!r}?')
+        else:
+            unknown.setdefault(tuple(section), []).append(name)
+    for parts, names in unknown.items():
+        told = ', '.join(names[:_FEW]) + ' and more' * (len(names) > _FEW)
+        are = 'is no setting' if len(names) == 1 else 'are no settings'
+        lines.append(f'{told} {are}; known names: {", ".join(_names_in(parts))}')
+    return lines
 
 
-def _names_beside(location: list[str]) -> list[str]:
+def _close(names: Sequence[str]) -> bool:
+    """Whether half of the names are those of sections, with an error of typing."""
+    known = list(Config.model_fields)
+    close = [difflib.get_close_matches(name, known, n=1, cutoff=0.75) for name in names]
+    return 2 * sum(map(bool, close)) >= len(names)
+
+
+def _names_in(section: Sequence[str]) -> list[str]:
     model: type[BaseModel] = Config
-    for part in location[:-1]:
+    for part in section:
         field = model.model_fields.get(part)
         kind = field.annotation if field else None
         model = kind if isinstance(kind, type) and issubclass(kind, BaseModel) else Sensor

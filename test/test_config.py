@@ -4,7 +4,14 @@ import pytest
 
 from incremental_mapper.config import Config, Strategy
 from incremental_mapper.errors import ConfigError
-from incremental_mapper.settings import make_config, merge, read_yaml, to_tree, write_ros_yaml
+from incremental_mapper.settings import (
+    load_config,
+    make_config,
+    merge,
+    read_yaml,
+    to_tree,
+    write_ros_yaml,
+)
 
 PLAIN = """
 lidars:
@@ -188,3 +195,22 @@ def test_empty_file_means_the_defaults(tmp_path, text):
     path = tmp_path / 'empty.yaml'
     path.write_text(text)
     assert make_config(read_yaml(path)) == Config()
+
+
+def test_a_file_that_is_no_settings_file_is_told_in_one_readable_line(tmp_path):
+    path = tmp_path / 'map.yaml'
+    path.write_text('image: a.pgm\nresolution: 1\norigin: [0, 0, 0]\nnegate: 0\nfree: 1\nx: 2\n')
+    with pytest.raises(ConfigError) as refused:
+        load_config(path)
+    message = str(refused.value)
+    assert message.startswith(f'{path}: is no settings file: image, resolution, origin, negate, fr')
+    assert message.count('known names') == 1 and len(message) < 400
+
+
+def test_known_names_of_a_section_are_told_once():
+    with pytest.raises(ConfigError) as refused:
+        make_config({'window': {'foo': 1, 'bar': 2}, 'graph': {'laag': 1.0}})
+    message = str(refused.value)
+    assert 'window.foo, window.bar are no settings; known names: duration' in message
+    assert "graph.laag is no setting; did you mean 'lag'?" in message
+    assert message.count('known names') == 1

@@ -97,6 +97,12 @@ def add_parser(subparsers: Any) -> None:
         help='a table.csv of an earlier call, or of published numbers, to stand beside in table.md',
     )
     parser.add_argument(
+        '--reference-names',
+        default='',
+        metavar='OURS=THEIRS,...',
+        help='which sequence of the reference goes with which input, where their names differ',
+    )
+    parser.add_argument(
         '--caption', default='', metavar='TEXT', help='what the table says of the drives'
     )
     parser.add_argument(
@@ -117,7 +123,8 @@ def run(args: argparse.Namespace) -> int:
 
     Raises MapperError where nothing can be run.
     """
-    plan, reference = _plan(args), _reference(args.reference)
+    plan = _plan(args)
+    reference = _reference(args.reference, args.reference_names, plan.jobs)
     todo = list(plan.jobs) if args.force else unfinished(plan.jobs)
     with _workers(args) as workers:
         prepare_out_dir(plan.out_dir, args.inputs, args.force)
@@ -183,8 +190,36 @@ def _plan(args: argparse.Namespace) -> Plan:
     )
 
 
-def _reference(path: Path | None) -> Reference | None:
-    return None if path is None else Reference(path.stem, tuple(read_csv(path)))
+def _reference(path: Path | None, names: str, jobs: Sequence[Job]) -> Reference | None:
+    """The reference, if any; tells of inputs that have nothing in it."""
+    pairs = dict(_pair(text) for text in names.split(',') if text.strip())
+    if path is None:
+        if pairs:
+            raise ConfigError('--reference-names: there is no --reference; name one')
+        return None
+    reference = Reference(path.stem, tuple(read_csv(path)), pairs)
+    ours, theirs = list(dict.fromkeys(job.sequence for job in jobs)), reference.sequences
+    unknown = [(name, ours) for name in pairs if name not in ours]
+    unknown += [(name, theirs) for name in pairs.values() if name not in theirs]
+    for name, known in unknown:
+        raise ConfigError(f'--reference-names: {name!r} is none of {", ".join(known)}')
+    alone = len(ours) == len(theirs) == 1
+    lone = [name for name in ours if name not in pairs and name not in theirs and not alone]
+    if lone:
+        example = f'{lone[0]}={theirs[0]}'
+        print(
+            f'note: --reference {path} has nothing of {", ".join(lone)}; it has '
+            f'{", ".join(theirs)}; say which goes with which: --reference-names {example}',
+            file=sys.stderr,
+        )
+    return reference
+
+
+def _pair(text: str) -> tuple[str, str]:
+    ours, equals, theirs = text.strip().partition('=')
+    if not (ours and equals and theirs):
+        raise ConfigError(f'--reference-names: {text!r} is no pair; expected OURS=THEIRS')
+    return ours, theirs
 
 
 def _workers(args: argparse.Namespace) -> Workers:

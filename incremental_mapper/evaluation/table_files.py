@@ -8,8 +8,8 @@ means. The same layout is read as a reference that stands beside the table: an e
 """
 
 import csv
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from incremental_mapper.errors import InputError, OutputError
@@ -31,10 +31,38 @@ KEYS = ('sequence', 'motion', 'strategy', 'error')
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """Numbers to stand beside ours, and what they are called."""
+    """Numbers to stand beside ours, and what they are called.
+
+    ``names`` are the sequences of the reference by ours, where they are called otherwise.
+    """
 
     title: str
     entries: tuple[Entry, ...]
+    names: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def sequences(self) -> list[str]:
+        """Names of its sequences."""
+        return list(dict.fromkeys(entry.sequence for entry in self.entries))
+
+    def beside(self, own: Sequence[Entry]) -> list[Entry]:
+        """Its entries under the names and motions of ours.
+
+        Args:
+            own: Our entries. Where ``names`` says nothing, sequences of one name go together,
+                and the only one of ours with the only one of the reference.
+        """
+        ours = list(dict.fromkeys(entry.sequence for entry in own))
+        alone = {ours[0]: self.sequences[0]} if len(ours) == len(self.sequences) == 1 else {}
+        names = {name: name for name in ours} | alone | dict(self.names)
+        motions = {entry.sequence: entry.motion for entry in own}
+        return [
+            replace(entry, sequence=name, motion=motions.get(name) if pinned else entry.motion)
+            for name, theirs in names.items()
+            for pinned in [name in self.names or name in alone]
+            for entry in self.entries
+            if entry.sequence == theirs
+        ]
 
 
 def write_tables(evaluation: Evaluation, by_motion: bool, reference: Reference | None) -> Table:
@@ -53,7 +81,9 @@ def write_tables(evaluation: Evaluation, by_motion: bool, reference: Reference |
     """
     found = entries(evaluation, by_motion)
     table = make_table(found, evaluation.strategies, evaluation.remarks)
-    beside = '' if reference is None else comparison(found, reference.entries, reference.title)
+    beside = ''
+    if reference is not None:
+        beside = comparison(found, reference.beside(found), reference.title)
     folder = evaluation.out_dir
     try:
         write_csv(folder / 'table.csv', [*found, *mean_entries(found, evaluation.strategies)])

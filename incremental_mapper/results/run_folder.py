@@ -26,6 +26,7 @@ from incremental_mapper.mapping.result import MapResult
 from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.results.candidate_table import FILE_NAME, read_window
 from incremental_mapper.results.graph_json import graph_tree
+from incremental_mapper.selection.window_record import FILE as WINDOW_FILE
 from incremental_mapper.trajectory import Trajectory, read_tum, write_tum
 from incremental_mapper.variables import cluster_of, pose_key
 from incremental_mapper.visualization.graph_view import GRAPH_SECONDS, typical_stretch
@@ -36,6 +37,16 @@ Record: TypeAlias = Mapping[str, Any]
 TRAJECTORY, MAP, WINDOWS = 'trajectory.tum', 'map.ply', 'windows.csv'
 GRAPH, GRAPH_G2O, STATISTICS = 'graph.json', 'graph.g2o', 'stats.json'
 FILES = (TRAJECTORY, MAP, GRAPH_G2O, GRAPH, WINDOWS, STATISTICS)
+EXTRA_FILES = (
+    FILE_NAME,
+    'trajectory.png',
+    'map.png',
+    'map_side.png',
+    'graph.png',
+    'map_quality.json',
+    'finished.json',
+)
+"""What a run may have besides, and what ``plot`` and ``evaluate`` make of it."""
 LATEST = Decimal(2**63)
 """Stamps in nanoseconds have 64 bits."""
 ABSOLUTE_SECONDS = Decimal(10) ** 8
@@ -46,6 +57,11 @@ ABSOLUTE_NANOSECONDS = Decimal(10) ** 15
 def prepare_folder(folder: Path, force: bool) -> None:
     """Make an output folder.
 
+    Args:
+        folder: It may exist, and be empty.
+        force: It may hold something. What an earlier run wrote is removed, so that no file of
+            another drive lies beside those of this one; all else stays.
+
     Raises:
         OutputError: It holds something and ``force`` is not given, or it cannot be made.
     """
@@ -55,6 +71,13 @@ def prepare_folder(folder: Path, force: bool) -> None:
         if folder.is_dir() and any(folder.iterdir()) and not force:
             raise OutputError(f'{folder}: is not empty; name another folder or add --force')
         folder.mkdir(parents=True, exist_ok=True)
+        # Names that others use as well go only where a run has been.
+        if (folder / STATISTICS).is_file() and (folder / GRAPH).is_file():
+            for name in (*FILES, *EXTRA_FILES):
+                (folder / name).unlink(missing_ok=True)
+                (folder / f'.{name}.partial').unlink(missing_ok=True)
+            for path in folder.glob(WINDOW_FILE.format('[0-9]*')):
+                path.unlink()
     except OSError as error:
         raise OutputError(f'{folder}: cannot be made ({error.strerror})') from error
 

@@ -1,6 +1,7 @@
 """Where the sensors sit, by transforms that are published, where the parameters do not say."""
 
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -20,12 +21,15 @@ from incremental_mapper.datasets.static_transforms import (
     clean,
     stamped_transforms,
 )
-from incremental_mapper.measurements import Measurement
+from incremental_mapper.measurements import Drops, Measurement
 from incremental_mapper.ros.inbox import Item, Renewal
 
 PATIENCE = 1.0
 """Seconds from the first measurement for which the transforms are waited for; /tf_static is there
 within a tenth, /tf has each transform twice after 20 to 200 ms."""
+
+UNPLACED = 'unplaced'
+"""Why clouds of a LiDAR are left out of which nobody tells where it is beside the others."""
 
 
 class LiveExtrinsics:
@@ -34,8 +38,8 @@ class LiveExtrinsics:
     Used in the executor's thread. Sensors whose place the parameters give are not waited for, and
     where all are given, or transforms cannot be listened to, nothing is held back.
 
-    ``findings`` are what is wrong with the places by now; ``renamed`` says whether they changed
-    since they were asked for.
+    ``findings`` are what is wrong with the places by now; ``drops`` counts clouds of LiDARs that
+    nobody places.
     """
 
     def __init__(
@@ -70,6 +74,8 @@ class LiveExtrinsics:
         self._left_out: frozenset[str] = frozenset()
         self._held: list[Measurement] = []
         self._open = not waiting
+        self._alone = False  # nobody else will tell
+        self.drops: Drops = Counter()
         self._since: float | None = None
         self._changed = False
 
@@ -113,7 +119,7 @@ class LiveExtrinsics:
 
     def wait_no_more(self) -> None:
         """No transforms will come."""
-        self._open = True
+        self._open, self._alone = True, True
 
     def _look(self) -> None:
         if self._since is None:
@@ -129,9 +135,10 @@ class LiveExtrinsics:
         if first and not (over or self._all_placed(found)):
             return
         self._open = True
+        if over or self._alone:
+            self._left_out = frozenset(places.left_out)
         if over:
             self.findings = places.findings
-            self._left_out = frozenset(places.left_out)
             self._changed = False
         for note in places.notes:
             if note not in self._told and self._ripe(note):
@@ -147,7 +154,9 @@ class LiveExtrinsics:
 
     def _pass_on(self, measurement: Measurement) -> None:
         """Hand a measurement on, unless it is of a LiDAR that nobody places beside the others."""
-        if measurement.sensor not in self._left_out:
+        if measurement.sensor in self._left_out:
+            self.drops[measurement.sensor, UNPLACED] += 1
+        else:
             self._hand_on(measurement)
 
     def _seen_lidars(self) -> dict[str, float]:

@@ -202,7 +202,8 @@ class MapperNode:
 
     def _outside_drops(self) -> Drops:
         """What was lost before the worker; any thread may ask."""
-        return self._inputs.drops() + Counter(dict(self._watch.drops))
+        outside = Counter(dict(self._watch.drops)) + Counter(dict(self._extrinsics.drops))
+        return self._inputs.drops() + outside
 
     def _make_extrinsics(self) -> LiveExtrinsics:
         """Where the sensors are: by parameters, else by transforms, where those can be heard."""

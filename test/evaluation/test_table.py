@@ -18,7 +18,7 @@ from incremental_mapper.evaluation.table import (
     mean_entries,
     rank,
 )
-from incremental_mapper.evaluation.table_files import read_csv, write_csv
+from incremental_mapper.evaluation.table_files import Reference, read_csv, write_csv
 from incremental_mapper.evaluation.table_text import (
     comparison,
     latex_table,
@@ -270,3 +270,20 @@ def test_reference_stands_beside_what_it_has_too(paper):
     assert '35.00 / 29.25' in lines[-1] and '0.0031 / 0.0065' in lines[-1]
     assert '– / 165' in text
     assert comparison(own[2:], paper, 'paper') == ''
+
+
+def test_reference_of_other_names_is_matched_by_what_the_user_says():
+    own = [Entry('my_drive', None, 'mom', {'clusters': 10.0})]
+    theirs = (
+        Entry('zero_speed_urban-26', Motion.ZERO, 'mom', {'clusters': 20.0}),
+        Entry('zero_speed_urban-33', Motion.ZERO, 'mom', {'clusters': 30.0}),
+    )
+    assert Reference('paper', theirs).beside(own) == []
+    named = Reference('paper', theirs, {'my_drive': 'zero_speed_urban-33'})
+    assert '10 / 30' in comparison(own, named.beside(own), 'paper')
+
+
+def test_the_only_sequence_goes_with_the_only_one_of_the_reference():
+    own = [Entry('my_drive', None, 'mom', {'clusters': 10.0})]
+    theirs = (Entry('yesterday', None, 'mom', {'clusters': 20.0}),)
+    assert '10 / 20' in comparison(own, Reference('before', theirs).beside(own), 'before')

@@ -100,9 +100,10 @@ def test_without_transforms_the_wait_is_bounded_and_it_is_said(patience):
     patience(0.0)
     run = Run(GIVEN_REST)
     run.send('left', 'right', 'imu')
-    assert run.sensors == ['left', 'right', 'imu'] and run.renewals == []
-    assert run.extrinsics.findings
-    assert 'velo_left' in run.extrinsics.findings[0].line()
+    assert run.sensors == ['left', 'imu'] and run.renewals == []
+    assert run.extrinsics.drops == {('right', 'unplaced'): 1}
+    rules = {finding.rule for finding in run.extrinsics.findings}
+    assert rules == {'lidar_left_out', 'identity_extrinsics'}
 
 
 def test_transforms_that_come_late_begin_anew_and_the_finding_goes(patience):
@@ -154,3 +155,13 @@ def test_a_chain_of_transforms_is_followed_and_a_broken_one_is_said(patience):
     chain.transforms[0].transform.rotation.w = 1.0
     run.extrinsics.static(chain)
     assert tuple(run.renewals[0].settings['lidars']['left']['T_base_sensor'][:3]) == LEFT
+
+
+def test_a_lidar_that_nobody_places_beside_another_is_left_out_and_counted(patience):
+    patience(0.0)
+    run = Run({**GIVEN_REST, 'lidars': {'left': GIVEN}}, waiting=False)
+    run.extrinsics.wait_no_more()
+    run.send('left', 'right', 'imu', 'right')
+    assert run.sensors == ['left', 'imu']
+    assert run.extrinsics.drops == {('right', 'unplaced'): 2}
+    assert 'lidar_left_out' in {finding.rule for finding in run.extrinsics.findings}

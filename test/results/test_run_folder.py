@@ -1,0 +1,39 @@
+"""The folder of a run: what lies in it before, and what becomes of that."""
+
+import pytest
+
+from incremental_mapper.errors import OutputError
+from incremental_mapper.results.run_folder import EXTRA_FILES, FILES, prepare_folder
+
+RUN = (*FILES, *EXTRA_FILES, 'failed_window_12.npz')
+FOREIGN = ('notes.txt', 'failed_window_mine.txt', 'bag.mcap')
+
+
+def fill(folder, *names):
+    folder.mkdir()
+    for name in names:
+        (folder / name).write_text('old')
+    return folder
+
+
+def names(folder):
+    return {path.name for path in folder.iterdir()}
+
+
+def test_force_removes_what_an_earlier_run_wrote_and_nothing_else(tmp_path):
+    folder = fill(tmp_path / 'out', *RUN, *FOREIGN)
+    prepare_folder(folder, force=True)
+    assert names(folder) == set(FOREIGN)
+
+
+def test_files_of_like_names_stay_where_no_run_has_been(tmp_path):
+    folder = fill(tmp_path / 'out', 'map.ply', 'trajectory.tum', 'map.png')
+    prepare_folder(folder, force=True)
+    assert names(folder) == {'map.ply', 'trajectory.tum', 'map.png'}
+
+
+def test_without_force_nothing_is_touched(tmp_path):
+    folder = fill(tmp_path / 'out', *RUN)
+    with pytest.raises(OutputError, match='--force'):
+        prepare_folder(folder, force=False)
+    assert names(folder) == set(RUN)
