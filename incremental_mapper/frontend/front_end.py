@@ -1,10 +1,10 @@
 """From a window's raw measurements to what factors are made of."""
 
-import math
 import time
 from collections import Counter
+from collections.abc import Callable, Collection
 from concurrent.futures import Future
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from incremental_mapper.candidates.model import CoreKind, CoreMeasurement
 from incremental_mapper.config import Config
 from incremental_mapper.errors import MeasurementError
-from incremental_mapper.frontend.gnss import Datum, checked_covariance
+from incremental_mapper.frontend.fix_gate import FixGate
+from incremental_mapper.frontend.gnss import checked_covariance
 from incremental_mapper.frontend.lidar_odometry import PreparedScan
 from incremental_mapper.frontend.odometry_process import LocalStation, ProcessStation, ScanStation
 from incremental_mapper.measurements import CoreInput, Drops, GnssFix, LidarScan
@@ -21,11 +22,15 @@ from incremental_mapper.measurements import CoreInput, Drops, GnssFix, LidarScan
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PreparedFix:
-    """A fix as antenna position (3,) and covariance (3, 3) in local ENU, metres."""
+    """A fix as antenna position (3,) and covariance (3, 3) in local ENU, metres.
+
+    ``doubtful`` ones may turn out wrong: they are hardly trusted.
+    """
 
     core: CoreMeasurement
     enu: NDArray[np.float64]
     covariance: NDArray[np.float64]
+    doubtful: bool = False
 
 
 Prepared: TypeAlias = PreparedScan | PreparedFix
@@ -35,10 +40,10 @@ Prepared: TypeAlias = PreparedScan | PreparedFix
 class Preparation:
     """Core measurements of a window that are being prepared, in time order.
 
-    ``seconds`` is what it took to begin with them.
+    A fix stands with its covariance (3, 3). ``seconds`` is what it took to begin with them.
     """
 
-    items: tuple[tuple[CoreInput, 'Future[PreparedScan] | PreparedFix'], ...]
+    items: tuple[tuple[CoreInput, 'Future[PreparedScan] | NDArray[np.float64]'], ...]
     seconds: float
 
     @property
@@ -48,13 +53,12 @@ class Preparation:
 
 
 class FrontEnd:
-    """Scan matching per LiDAR, and fixes in local ENU around the first one used."""
+    """Scan matching per LiDAR, and fixes in local ENU around the first one that holds."""
 
     def __init__(self, config: Config) -> None:
         self._config = config
         self._stations: dict[str, ScanStation] = {}
-        self.datum: Datum | None = None
-        self._altitude = math.nan  # of the newest fix that has one
+        self.gate = FixGate(config.fixes, config.gnss.matrix()[:3, 3])
         self.drops: Drops = Counter()
         self.notes: Counter[str] = Counter()  # what was used, but not in full
         if config.odometry.processes:
@@ -71,13 +75,14 @@ class FrontEnd:
             What ``collect`` waits for.
         """
         began = time.perf_counter()
-        items: list[tuple[CoreInput, Future[PreparedScan] | PreparedFix]] = []
+        items: list[tuple[CoreInput, Future[PreparedScan] | NDArray[np.float64]]] = []
         for measurement in core:
             if isinstance(measurement, LidarScan):
                 items.append((measurement, self._station(measurement.sensor).submit(measurement)))
                 continue
             try:
-                items.append((measurement, self._fix(measurement)))
+                covariance = checked_covariance(measurement, self._config.fixes)
+                items.append((measurement, covariance))
             except MeasurementError as error:
                 self.drops[measurement.sensor, error.reason] += 1
         return Preparation(tuple(items), time.perf_counter() - began)
@@ -94,7 +99,7 @@ class FrontEnd:
         prepared: list[Prepared] = []
         for measurement, item in preparation.items:
             try:
-                prepared.append(item.result() if isinstance(item, Future) else item)
+                prepared.append(self._collected(measurement, item))
             except MeasurementError as error:
                 self.drops[measurement.sensor, error.reason] += 1
         return prepared
@@ -102,6 +107,20 @@ class FrontEnd:
     def prepare(self, core: tuple[CoreInput, ...]) -> list[Prepared]:
         """Prepare a window's core measurements in time order."""
         return self.collect(self.start(core))
+
+    def refound(
+        self, refuted: Collection[int]
+    ) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+        """Count fixes that proved wrong after they were handed on, and leave their datum.
+
+        Args:
+            refuted: Their stamps, ns, as the gate told them.
+
+        Returns:
+            What moves a position (3,) from ENU so far to ENU from now on, metres.
+        """
+        self.drops[self.gate.sensor, 'datum_outlier'] += len(refuted)
+        return self.gate.refound()
 
     def close(self) -> None:
         """End the processes, if there are any."""
@@ -114,17 +133,14 @@ class FrontEnd:
             self._stations[name] = kind(name, self._config, self.notes)
         return self._stations[name]
 
-    def _fix(self, fix: GnssFix) -> PreparedFix:
-        covariance = checked_covariance(fix, self._config.fixes)
-        if math.isnan(fix.altitude):
-            # The newest altitude is the best guess; its deviation says that it is no more.
-            fix = replace(fix, altitude=self._altitude)
-        elif math.isnan(self._altitude) and self.datum is not None:
-            # Fixes without altitude came before: they were at height 0, and so is this one.
-            self.datum = replace(self.datum, altitude=fix.altitude)
-        self._altitude = fix.altitude
-        if self.datum is None:
-            altitude = 0.0 if math.isnan(fix.altitude) else fix.altitude
-            self.datum = Datum(fix.latitude, fix.longitude, altitude)
-        core = CoreMeasurement(fix.stamp, fix.sensor, CoreKind.GNSS)
-        return PreparedFix(core, self.datum.enu(fix), covariance)
+    def _collected(
+        self, measurement: CoreInput, item: 'Future[PreparedScan] | NDArray[np.float64]'
+    ) -> Prepared:
+        if isinstance(item, Future):
+            scan = item.result()
+            self.gate.scan(scan)
+            return scan
+        assert isinstance(measurement, GnssFix)
+        judged = self.gate.fix(measurement, item)
+        core = CoreMeasurement(measurement.stamp, measurement.sensor, CoreKind.GNSS)
+        return PreparedFix(core, judged.enu, judged.covariance, judged.doubtful)

@@ -1,7 +1,7 @@
 """GNSS fixes in a local frame: WGS-84 to ENU, and the yaw between the map and ENU."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 import pymap3d
@@ -39,6 +39,16 @@ class Datum:
             self.altitude,
         )
         return np.array([float(east), float(north), float(up)])
+
+    def enu_of(self, other: 'Datum') -> NDArray[np.float64]:
+        """Where another datum lies around this one (3,), metres."""
+        place = pymap3d.geodetic2enu(*astuple(other), *astuple(self))
+        return np.array([float(value) for value in place])
+
+    def geodetic(self, enu: NDArray[np.float64]) -> 'Datum':
+        """The place (3,) around this datum, metres, as a datum of its own."""
+        place = pymap3d.enu2geodetic(*enu, *astuple(self))
+        return Datum(*(float(value) for value in place))
 
 
 def checked_covariance(fix: GnssFix, settings: GnssSettings) -> NDArray[np.float64]:

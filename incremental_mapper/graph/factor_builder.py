@@ -62,7 +62,7 @@ class WindowInputs:
         head_state: State of the cluster of G(t-1) to connect from, or the first one of all.
         scan_offsets: T_cluster_scan of each LiDAR's last scan in G(t-1), by sensor and stamp.
         enu_offset: Where ENU's origin lies in the map, (3,) metres; the axes are the same.
-        fix_inflation: Extra standard deviation of fixes in metres, by stamp.
+        fix_inflation: Extra standard deviations of fixes, horizontal and vertical, by stamp.
         config: All settings.
     """
 
@@ -74,7 +74,7 @@ class WindowInputs:
     head_state: State
     scan_offsets: Mapping[tuple[str, int], gtsam.Pose3]
     enu_offset: NDArray[np.float64]
-    fix_inflation: Mapping[int, float]
+    fix_inflation: Mapping[int, tuple[float, float]]
     config: Config
 
 
@@ -245,11 +245,12 @@ class FactorBuilder:
         key = ('gnss', item.core, own)
         if key not in self._cache:
             config = self._in.config
-            spread = self._in.fix_inflation.get(item.core.stamp, 0.0)
+            spread, upward = self._in.fix_inflation.get(item.core.stamp, (0.0, 0.0))
             arm = config.gnss.matrix()[:3, 3]
             arm = self._compensation.offset(cluster, item.core.stamp).transformFrom(arm)
             moved = UNSEEN_SPEED * self._compensation.unseen(cluster, item.core.stamp)
-            inflated = item.covariance + np.diag([spread**2, spread**2, 0.0]) + moved**2 * np.eye(3)
+            inflated = item.covariance + np.diag([spread**2, spread**2, upward**2])
+            inflated += moved**2 * np.eye(3)
             self._cache[key] = (
                 gnss_factor(
                     pose_key(own),

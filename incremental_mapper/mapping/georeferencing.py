@@ -4,6 +4,9 @@ Until then ENU is laid into the map without a turn, and a fix is trusted the les
 car has moved since the first one: a wrong yaw puts it at most twice that far away.
 """
 
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import replace
+
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +25,9 @@ from incremental_mapper.graph.factors import (
 from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.smoothing.batch import make_graph, optimize
 from incremental_mapper.smoothing.graph_state import GraphState
+from incremental_mapper.smoothing.marginal_prior import MarginalPrior
 from incremental_mapper.smoothing.smoother import marginal_prior_of
-from incremental_mapper.variables import copy_value, kind_of
+from incremental_mapper.variables import copy_value, kind_of, pose_key
 
 MOST_FIXES = 40
 """Newest fixes that are looked at for a track; a car may stand for long before it moves."""
@@ -85,20 +89,52 @@ def georeference(state: GraphState, config: Config) -> bool:
             factors[fix.factor].sensor or 'gnss',
             fix.stamp,
         )
-    plain = tuple(factor.factor for factor in factors)
-    solution = optimize(make_graph(plain), turned, 100)
-    values = turned if solution is None else solution.values
-    clusters = {placed.id: placed.cluster.stamp for placed in state.clusters}
-    newest = max(clusters.values())
-    prior, older = marginal_prior_of(
-        plain,
-        values,
-        clusters,
-        state.frontier.keys(),
-        newest - round(config.graph.lag * NANOSECONDS),
-    )
+    prior, older = _solved(state, factors, turned, config)
     state.turn_to_enu(T_enu_map, factors, prior, older)
     return True
+
+
+def without_fixes(
+    state: GraphState,
+    config: Config,
+    refuted: Collection[int],
+    moved: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+) -> None:
+    """Take fixes out of G(t) that proved wrong, and solve it again; it is not ENU any more.
+
+    Costs one solve of all of G(t), a few times in a drive at the most.
+
+    Args:
+        state: G(t).
+        config: All settings.
+        refuted: Stamps of the wrong fixes, ns.
+        moved: Moves positions (3,) in ENU to the datum of the fixes that are left.
+    """
+    gone = {fix.factor for fix in state.fixes if fix.stamp in refuted}
+    places = np.cumsum([place not in gone for place in range(len(state.factors))]) - 1
+    fixes = [
+        replace(fix, enu=moved(fix.enu), factor=int(places[fix.factor]))
+        for fix in state.fixes
+        if fix.factor not in gone
+    ]
+    factors = [factor for place, factor in enumerate(state.factors) if place not in gone]
+    values = state.all_values()
+    offset: NDArray[np.float64] | None = None
+    for fix in fixes:
+        antenna = values.atPose3(pose_key(fix.cluster)).transformFrom(fix.lever_arm)
+        offset = antenna - fix.enu if offset is None else offset
+        spread = 2.0 * float(np.linalg.norm((fix.enu - fixes[0].enu)[:2]))
+        factors[fix.factor] = gnss_factor(
+            factors[fix.factor].keys[0],
+            fix.enu + offset,
+            fix.covariance + np.diag([spread**2, spread**2, 0.0]),
+            fix.lever_arm,
+            config.fixes.robust_threshold,
+            factors[fix.factor].sensor or 'gnss',
+            fix.stamp,
+        )
+    prior, older = _solved(state, factors, values, config)
+    state.refound(factors, fixes, offset, prior, older)
 
 
 def _turn(values: gtsam.Values, T_enu_map: gtsam.Pose3) -> gtsam.Values:
@@ -112,6 +148,23 @@ def _turn(values: gtsam.Values, T_enu_map: gtsam.Pose3) -> gtsam.Values:
         else:
             copy_value(values, key, turned)
     return turned
+
+
+def _solved(
+    state: GraphState, factors: Sequence[Factor], initial: gtsam.Values, config: Config
+) -> tuple[MarginalPrior, gtsam.Values]:
+    """All of G(t) solved again: its newest part, and the variables that have left it."""
+    plain = tuple(factor.factor for factor in factors)
+    solution = optimize(make_graph(plain), initial, 100)
+    clusters = {placed.id: placed.cluster.stamp for placed in state.clusters}
+    newest = max(clusters.values())
+    return marginal_prior_of(
+        plain,
+        initial if solution is None else solution.values,
+        clusters,
+        state.frontier.keys(),
+        newest - round(config.graph.lag * NANOSECONDS),
+    )
 
 
 def _turned_factor(factor: Factor, T_enu_map: gtsam.Pose3, config: Config) -> Factor:

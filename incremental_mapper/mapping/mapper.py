@@ -22,7 +22,7 @@ from incremental_mapper.frontend.imu_preintegration import EMPTY_SERIES, preinte
 from incremental_mapper.map.store import make_store
 from incremental_mapper.mapping.base_count import BaseCount
 from incremental_mapper.mapping.commit import NOTHING, Committed, commit
-from incremental_mapper.mapping.georeferencing import georeference
+from incremental_mapper.mapping.georeferencing import georeference, without_fixes
 from incremental_mapper.mapping.imu_intake import ImuIntake
 from incremental_mapper.mapping.judgement import judge_map
 from incremental_mapper.mapping.load_shedding import NO_SHEDDING, LoadShedding
@@ -239,7 +239,7 @@ class Mapper:
             notes=self._front_end.notes,
             late=self._buffer.late,
             unused=[item.core for item in self._carried],
-            datum=self._front_end.datum,
+            datum=self._front_end.gate.datum,
         )
 
     def stats(self) -> dict[str, Any]:
@@ -339,13 +339,23 @@ class Mapper:
         started = time.perf_counter()
         committed = commit(self._state, self._totals.windows, choice, problem)
         self._totals.solver_failures += int(not self._state.prior.healthy)
-        georeference(self._state, self.config)
+        self._georeference()
         # Samples after the last cluster stamp belong to the next window.
         frontier = self._state.frontier
         self._series = self._series.since(min(frontier.head_stamp, frontier.newest_stamp))
         self._watch.fit.window(self._state)
         frame.seconds['append'] = time.perf_counter() - started
         return self._close(frame, items, choice, committed)
+
+    def _georeference(self) -> None:
+        """Keep to the fixes that hold, and lay the map into ENU once they tell how it lies."""
+        gate = self._front_end.gate
+        refuted = gate.refuted
+        if refuted:
+            moved = self._front_end.refound(refuted)
+            without_fixes(self._state, self.config, refuted, moved)
+        if gate.certain:
+            georeference(self._state, self.config)
 
     def _fail(self, frame: '_Frame', items: Sequence[Prepared]) -> WindowResult:
         """Leave out a window whose choice raised; G(t-1) is as it was."""

@@ -19,7 +19,7 @@ from incremental_mapper.graph.connectivity import Partitions
 from incremental_mapper.graph.factor_builder import FactorBuilder, WindowInputs
 from incremental_mapper.graph.initial_guess import InitialGuess
 from incremental_mapper.graph.motion_compensation import MotionCompensation
-from incremental_mapper.measurements import NANOSECONDS
+from incremental_mapper.measurements import NANOSECONDS, NO_VERTICAL_SIGMA
 from incremental_mapper.selection.local_map import LocalMapBuilder
 from incremental_mapper.smoothing.graph_state import GraphState
 from incremental_mapper.smoothing.marginal_prior import MarginalPrior, trimmed
@@ -218,12 +218,21 @@ def _enu_offset(
     return np.zeros(3)
 
 
-def fix_spread(state: GraphState, items: Sequence[Prepared]) -> Mapping[int, float]:
-    """Extra standard deviation in metres of each fix, by stamp, while the yaw is unknown."""
-    if state.georeferenced:
-        return {}
+def fix_spread(state: GraphState, items: Sequence[Prepared]) -> Mapping[int, tuple[float, float]]:
+    """Extra standard deviations of fixes, horizontal and vertical, metres, by stamp.
+
+    While the yaw is unknown, the horizontal one grows with the distance from the first fix.
+    Doubtful fixes say next to nothing.
+    """
     fixes = [item for item in items if isinstance(item, PreparedFix)]
     if not fixes:
         return {}
     first = state.fixes[0].enu if state.fixes else fixes[0].enu
-    return {fix.core.stamp: 2.0 * float(np.linalg.norm((fix.enu - first)[:2])) for fix in fixes}
+    spread: dict[int, tuple[float, float]] = {}
+    for fix in fixes:
+        far = 2.0 * float(np.linalg.norm((fix.enu - first)[:2]))
+        if fix.doubtful:
+            spread[fix.core.stamp] = max(far, NO_VERTICAL_SIGMA), NO_VERTICAL_SIGMA
+        elif not state.georeferenced:
+            spread[fix.core.stamp] = far, 0.0
+    return spread

@@ -238,6 +238,28 @@ class GraphState:
         self.enu_offset = np.zeros(3)
         self.georeferenced = True
 
+    def refound(
+        self,
+        factors: Sequence[Factor],
+        fixes: Sequence[PlacedFix],
+        offset: NDArray[np.float64] | None,
+        prior: MarginalPrior,
+        values: gtsam.Values,
+    ) -> None:
+        """Replace all of G(t) by the same with fewer fixes; the map is not ENU until it is turned.
+
+        Args:
+            factors: The factors that are left, in their order.
+            fixes: The fixes that are left, with their places among them.
+            offset: Where ENU's origin lies in the map, (3,) metres; None without a fix.
+            prior: The newest part.
+            values: The variables that have left it.
+        """
+        self.factor_counts = Counter(str(factor.kind) for factor in factors)
+        self.factors, self.fixes = list(factors), list(fixes)
+        self.prior, self.values = prior, values
+        self.enu_offset, self.georeferenced = offset, False
+
     def _pins_velocity(self, cluster: int) -> bool:
         """Whether a cluster's velocity is certain enough to predict motion."""
         covariance = self.prior.covariance(velocity_key(cluster))

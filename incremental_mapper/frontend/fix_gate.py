@@ -1,0 +1,333 @@
+"""The gate for fixes: which of them are used, and around which datum.
+
+A fix is used where it agrees with the fixes before it and with odometry. Fixes that agree with
+each other, but not with those before, are no jump but a step: they are used too, moved back by the
+step, and the datum is that of the larger part. At the start nobody knows which are right. Until
+three fixes agree that saw the car move, all are used, but hardly trusted; those that turn out
+wrong leave the graph.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from incremental_mapper.config import GnssSettings
+from incremental_mapper.errors import MeasurementError
+from incremental_mapper.frontend.fix_tracks import TOP_SPEED, Entry, Track
+from incremental_mapper.frontend.gnss import Datum, align_track
+from incremental_mapper.frontend.lidar_odometry import PreparedScan
+from incremental_mapper.frontend.odometry_track import OdometryTrack, Place
+from incremental_mapper.measurements import NANOSECONDS, NO_VERTICAL_SIGMA, GnssFix
+
+SETTLED = 3
+"""So many fixes that agree and saw the car move tell the datum."""
+STEP = 5
+"""So many that agree with each other alone make a step; reflections seldom last that long."""
+TRACKS = 4
+"""Tracks that are followed at once."""
+FROZEN_DISTANCE = 2.0
+"""Metres that the car moves while a position repeats bit for bit, before it counts as frozen."""
+FROZEN_CREEP = 0.05
+"""Metres a second by which odometry may move while the car stands."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judged:
+    """A fix that is used: position (3,) and covariance (3, 3) in the frame of the gate, metres.
+
+    ``doubtful`` ones may turn out wrong.
+    """
+
+    enu: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    doubtful: bool
+
+
+@dataclass(slots=True)
+class Suspicion:
+    """Fixes that were found wrong for one reason.
+
+    Attributes:
+        count: How many.
+        first: Stamp of the first one, ns.
+        last: Stamp of the last one, ns.
+        most: Metres by which the worst is off.
+    """
+
+    count: int
+    first: int
+    last: int
+    most: float
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """A change of the receiver's datum.
+
+    Attributes:
+        stamp: Stamp of the first fix after it, ns.
+        shift: East, north and up by which the fixes moved, metres.
+    """
+
+    stamp: int
+    shift: tuple[float, float, float]
+
+
+class FixGate:
+    """Takes fixes and scans in time order, and says which fixes are used."""
+
+    def __init__(self, settings: GnssSettings, lever_arm: NDArray[np.float64]) -> None:
+        """Begin without a datum.
+
+        Args:
+            settings: Those of the fixes.
+            lever_arm: The antenna in base_link (3,), metres.
+        """
+        self._settings = settings
+        self._odometry = OdometryTrack(lever_arm)
+        self._tracks: list[Track] = []  # the first one is the one that is believed
+        self._frame: Datum | None = None
+        self._altitude = math.nan  # of the newest fix that has one
+        self._repeated: tuple[float, float, Place] | None = None
+        self._abandoned: set[int] = set()  # handed on, but their track is followed no more
+        self.sensor = 'gnss'
+        self.received = 0
+        self.suspicions: dict[str, Suspicion] = {}
+        self.steps: list[Step] = []
+
+    # --- what it is asked
+
+    @property
+    def datum(self) -> Datum | None:
+        """Origin of the frame as the larger part of the fixes has it, None before the first."""
+        if self._frame is None:
+            return None
+        joined = [track for track in self._tracks if track.origin is not None]
+        best = max(joined, key=lambda track: track.count, default=self._tracks[0])
+        origin = np.zeros(3) if best.origin is None else best.origin
+        level = max(best.levels, key=lambda one: one.count).offset
+        if not origin.any() and level == 0.0:
+            return best.datum
+        return best.datum.geodetic(np.array([0.0, 0.0, level]) - origin)
+
+    @property
+    def refuted(self) -> frozenset[int]:
+        """Stamps (ns) of fixes that were handed on and proved wrong since.
+
+        Empty as long as nobody knows.
+        """
+        if not self._settled:
+            return frozenset()
+        others = (track.stamps for track in self._tracks[1:] if track.origin is None)
+        return frozenset(self._abandoned.union(*others))
+
+    @property
+    def certain(self) -> bool:
+        """Whether the fixes that are in the graph may tell where it lies on the earth."""
+        main = self._tracks[0] if self._tracks else None
+        return main is not None and main.origin is not None and (self._settled or self._single)
+
+    # --- what it is told
+
+    def refound(self) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+        """Make the datum of the fixes that agree the frame's; refuted ones are no more handed on.
+
+        Returns:
+            What moves a position (3,) from the frame so far to the new one, metres.
+        """
+        old, main = self._frame, self._tracks[0]
+        assert old is not None
+        for track in self._tracks[1:]:
+            if track.origin is None:
+                far = float(np.hypot(*main.datum.enu_of(track.datum)[:2]))
+                for stamp in track.stamps:
+                    self._suspect('datum_outlier', stamp, far)
+                track.stamps.clear()
+        self._abandoned.clear()
+        if main.datum == old:
+            return lambda enu: enu
+        new = self._frame = main.datum
+        main.origin = np.zeros(3)
+        return lambda enu: new.enu_of(old.geodetic(enu))
+
+    def scan(self, scan: PreparedScan) -> None:
+        """Follow odometry."""
+        self._odometry.add(scan)
+
+    def fix(self, fix: GnssFix, covariance: NDArray[np.float64]) -> Judged:
+        """Judge the next fix.
+
+        Args:
+            fix: A usable fix.
+            covariance: Its covariance (3, 3), east, north, up.
+
+        Returns:
+            The fix in the frame, with what is believed of it.
+
+        Raises:
+            MeasurementError: It is not to be believed.
+        """
+        self.sensor = fix.sensor
+        self.received += 1
+        fix = self._with_altitude(fix)
+        up = float(np.sqrt(covariance[2, 2]))
+        entry = Entry(
+            fix=fix,
+            place=self._odometry.at(fix.stamp),
+            sigma=float(np.sqrt(max(covariance[0, 0], covariance[1, 1]))),
+            sigma_up=up if up < 0.5 * NO_VERTICAL_SIGMA else math.nan,
+        )
+        self._check_frozen(entry)
+        if self._frame is None:
+            self._frame = _datum(fix)
+        track, apart = self._track_of(entry)
+        above, level = track.height(entry)
+        lowered = track.add(entry, above, level)
+        self._rank(track)
+        if level != 0:
+            self._suspect('altitude_jump', fix.stamp, abs(above))
+            if level is None or track.levels[level].count < SETTLED:
+                covariance = _without_vertical(covariance)
+        if track.origin is not None:
+            if track is self._tracks[0] and not (track.moved and track.count > STEP):
+                track.stamps.append(fix.stamp)
+            enu = track.datum.enu(fix) - np.array([0.0, 0.0, lowered])
+            return Judged(enu + track.origin, covariance, doubtful=False)
+        if self._settled and track is not self._tracks[0]:
+            self._suspect('gnss_jump', fix.stamp, apart)
+            raise MeasurementError(
+                'gnss_jump',
+                f'{fix.sensor} at {fix.stamp}: the fix is {apart:.1f} m from where odometry and '
+                'the fixes before it say',
+            )
+        track.stamps.append(fix.stamp)
+        return Judged(self._frame.enu(fix), covariance, doubtful=True)
+
+    # --- inside
+
+    @property
+    def _settled(self) -> bool:
+        """Whether it is known where the datum is."""
+        main = self._tracks[0] if self._tracks else None
+        return main is not None and main.moved and main.count >= SETTLED
+
+    @property
+    def _single(self) -> bool:
+        """Whether all fixes agree so far."""
+        return len(self._tracks) == 1 and not self._abandoned
+
+    def _with_altitude(self, fix: GnssFix) -> GnssFix:
+        """The fix with the newest known altitude, if its own is not; NaN before the first."""
+        if math.isnan(fix.altitude):
+            # The newest altitude is the best guess; its deviation says that it is no more.
+            return replace(fix, altitude=self._altitude)
+        if math.isnan(self._altitude) and self._frame is not None:
+            # Fixes without altitude came before: they were at height 0, and so is this one.
+            self._frame = replace(self._frame, altitude=fix.altitude)
+            for track in self._tracks:
+                track.datum = replace(track.datum, altitude=fix.altitude)
+        self._altitude = fix.altitude
+        return fix
+
+    def _check_frozen(self, entry: Entry) -> None:
+        """Raise where the position repeats bit for bit although the car moves."""
+        fix, place = entry.fix, entry.place
+        same = self._repeated
+        if same is None or (fix.latitude, fix.longitude) != same[:2]:
+            self._repeated = fix.latitude, fix.longitude, place
+            return
+        seconds = (fix.stamp - same[2].stamp) / NANOSECONDS
+        moved = float(np.hypot(*(place.position - same[2].position)[:2]))
+        unseen = TOP_SPEED * (place.blind - same[2].blind + place.ahead + same[2].ahead)
+        if moved > FROZEN_DISTANCE + FROZEN_CREEP * seconds + unseen:
+            self._suspect('frozen_fix', fix.stamp, moved)
+            raise MeasurementError(
+                'frozen_fix',
+                f'{fix.sensor} at {fix.stamp}: the position repeats bit for bit for '
+                f'{seconds:.1f} s, in which the car moved {moved:.1f} m',
+            )
+
+    def _track_of(self, entry: Entry) -> tuple[Track, float]:
+        """The track that a fix belongs to, maybe a new one, and how far it is off the main one."""
+        main_yaw = self._tracks[0].yaw() if self._tracks else None
+        apart = 0.0
+        for number, track in enumerate(self._tracks):
+            own = track.yaw() if number else main_yaw
+            off, allowed = track.disagreement(entry, main_yaw if own is None else own)
+            apart = apart if number else off
+            if off <= allowed:
+                return track, apart
+        fix = entry.fix
+        if len(self._tracks) == TRACKS:
+            weakest = min(self._tracks[1:], key=lambda one: (one.origin is not None, one.count))
+            self._abandoned.update(weakest.stamps)
+            self._tracks.remove(weakest)
+        datum = _datum(fix)
+        origin = None if self._tracks else np.zeros(3)
+        made = Track(datum, self._settings.min_distance, origin)
+        self._tracks.append(made)
+        return made, apart
+
+    def _rank(self, track: Track) -> None:
+        """Believe a track in place of the main one, or beside it, where it has earned that."""
+        main = self._tracks[0]
+        if track is main or track.origin is not None:
+            return
+        weak = main.count < STEP or not main.moved
+        more = track.count > main.count and track.moved >= main.moved
+        if weak and (more or (track.moved and not main.moved and track.count >= SETTLED)):
+            self._tracks.remove(track)
+            self._tracks.insert(0, track)
+            main.origin = None
+            if track.datum == self._frame:
+                track.origin = np.zeros(3)
+        elif track.count >= STEP and track.moved and main.moved:
+            track.origin = self._origin(track)
+            self._abandoned.update(track.stamps)
+            track.stamps.clear()
+            first = track.members[0].entry.fix.stamp
+            shift = main.datum.enu_of(track.datum) - track.origin
+            east, north, up = (float(value) for value in shift)
+            self.steps.append(Step(first, (east, north, up)))
+
+    def _origin(self, track: Track) -> NDArray[np.float64]:
+        """Where the datum of a track lies in the frame (3,), by odometry from the main one."""
+        main = self._tracks[0]
+        assert main.origin is not None
+        (before, local_before), (after, local_after) = main.positions(), track.positions()
+        # Each set around its own middle: what is between them is what is asked for.
+        enu = np.vstack([before - before.mean(axis=0), after - after.mean(axis=0)])
+        local = np.vstack(
+            [local_before - local_before.mean(axis=0), local_after - local_after.mean(axis=0)]
+        )
+        yaw, _ = align_track(enu, local)
+        cosine, sine = np.cos(yaw), np.sin(yaw)
+        turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+        near = slice(-SETTLED, None)
+        way = turn @ (local_after.mean(axis=0) - local_before[near].mean(axis=0))
+        origin: NDArray[np.float64] = (
+            main.origin + before[near].mean(axis=0) + way - after.mean(axis=0)
+        )
+        return origin
+
+    def _suspect(self, reason: str, stamp: int, metres: float) -> None:
+        known = self.suspicions.setdefault(reason, Suspicion(0, stamp, stamp, 0.0))
+        known.count += 1
+        known.last = stamp
+        known.most = max(known.most, metres)
+
+
+def _datum(fix: GnssFix) -> Datum:
+    altitude = 0.0 if math.isnan(fix.altitude) else fix.altitude
+    return Datum(fix.latitude, fix.longitude, altitude)
+
+
+def _without_vertical(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The covariance (3, 3) of a fix whose height is not to be believed, m^2."""
+    flat = np.zeros((3, 3))
+    flat[:2, :2] = covariance[:2, :2]
+    flat[2, 2] = NO_VERTICAL_SIGMA**2
+    return flat

@@ -1,0 +1,96 @@
+"""The way of the car by scan matching alone: what fixes are held against."""
+
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from incremental_mapper.frontend.lidar_odometry import PreparedScan
+from incremental_mapper.measurements import NANOSECONDS
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Place:
+    """Where odometry puts the antenna at a stamp.
+
+    Attributes:
+        stamp: Nanoseconds.
+        position: Position (3,) in a frame of odometry's own, metres.
+        way: Metres that base_link has travelled since the start.
+        blind: Seconds since the start for which there was no odometry.
+        ahead: Seconds since the newest scan, over which the last motion goes on.
+    """
+
+    stamp: int
+    position: NDArray[np.float64]
+    way: float
+    blind: float
+    ahead: float
+
+
+class OdometryTrack:
+    """Joins the odometry of all LiDARs into one track; no fix and no IMU takes part.
+
+    One LiDAR's chain leads as long as it is not interrupted, since two chains drift apart. Where
+    there is no odometry the last motion goes on, and the seconds are counted as blind.
+    """
+
+    def __init__(self, lever_arm: NDArray[np.float64]) -> None:
+        """Begin a track.
+
+        Args:
+            lever_arm: The antenna in base_link (3,), metres.
+        """
+        self._arm = lever_arm
+        self._scans: dict[str, tuple[int, gtsam.Pose3]] = {}  # each LiDAR's newest
+        self._leader = ''
+        self._pose = gtsam.Pose3()
+        self._stamp: int | None = None
+        self._twist = np.zeros(6)
+        self._way = 0.0
+        self._blind = 0.0
+
+    def add(self, scan: PreparedScan) -> None:
+        """Go on with the next scan in time order."""
+        sensor, stamp = scan.core.sensor, scan.core.stamp
+        if self._stamp is None:
+            self._stamp = stamp
+        known = self._scans.get(sensor)
+        if known is not None and known[0] == scan.previous:
+            before, pose = known
+            assert scan.T_previous_current is not None
+            if self._leader in ('', sensor) or self._stamp <= before:
+                self._lead(sensor, before, stamp, pose, scan.T_previous_current)
+        elif sensor == self._leader:
+            self._leader = ''
+        if scan.usable:
+            self._scans[sensor] = (stamp, self._at(stamp))
+
+    def _lead(
+        self, sensor: str, before: int, stamp: int, pose: gtsam.Pose3, motion: gtsam.Pose3
+    ) -> None:
+        """Go on with a LiDAR's motion from its scan ``before`` at ``pose``."""
+        assert self._stamp is not None
+        self._blind += max(before - self._stamp, 0) / NANOSECONDS
+        there = pose.compose(motion)
+        self._way += float(np.linalg.norm(there.translation() - self._pose.translation()))
+        self._twist = gtsam.Pose3.Logmap(motion) / ((stamp - before) / NANOSECONDS)
+        self._pose, self._stamp, self._leader = there, stamp, sensor
+
+    def at(self, stamp: int) -> Place:
+        """The antenna at a stamp, not before the newest scan."""
+        ahead = 0.0 if self._stamp is None else max(stamp - self._stamp, 0) / NANOSECONDS
+        return Place(
+            stamp=stamp,
+            position=np.asarray(self._at(stamp).transformFrom(self._arm)),
+            way=self._way + ahead * float(np.linalg.norm(self._twist[3:])),
+            blind=self._blind,
+            ahead=ahead,
+        )
+
+    def _at(self, stamp: int) -> gtsam.Pose3:
+        if self._stamp is None:
+            return self._pose
+        seconds = (stamp - self._stamp) / NANOSECONDS
+        return self._pose.compose(gtsam.Pose3.Expmap(self._twist * seconds))
