@@ -8,15 +8,25 @@ wrong leave the graph.
 """
 
 import math
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from incremental_mapper.config import GnssSettings
+from incremental_mapper.checks.finding import Finding
+from incremental_mapper.checks.fixes import (
+    REFUSED,
+    DatumStep,
+    Suspicion,
+    judged_fixes,
+    scatter,
+    too_certain,
+)
+from incremental_mapper.config import GnssSettings, OdometryMethod
 from incremental_mapper.errors import MeasurementError
-from incremental_mapper.frontend.fix_tracks import TOP_SPEED, Entry, Track
+from incremental_mapper.frontend.fix_tracks import MEMBERS, TOP_SPEED, Entry, Track
 from incremental_mapper.frontend.gnss import Datum, align_track
 from incremental_mapper.frontend.lidar_odometry import PreparedScan
 from incremental_mapper.frontend.odometry_track import OdometryTrack, Place
@@ -28,6 +38,9 @@ STEP = 5
 """So many that agree with each other alone make a step; reflections seldom last that long."""
 TRACKS = 4
 """Tracks that are followed at once."""
+START = 50
+"""Fixes of the start, among which a receiver may still converge: they are held against older ones
+too, and what comes after them may prove them wrong. Later, odometry drifts as well."""
 FROZEN_DISTANCE = 2.0
 """Metres that the car moves while a position repeats bit for bit, before it counts as frozen."""
 FROZEN_CREEP = 0.05
@@ -46,57 +59,34 @@ class Judged:
     doubtful: bool
 
 
-@dataclass(slots=True)
-class Suspicion:
-    """Fixes that were found wrong for one reason.
-
-    Attributes:
-        count: How many.
-        first: Stamp of the first one, ns.
-        last: Stamp of the last one, ns.
-        most: Metres by which the worst is off.
-    """
-
-    count: int
-    first: int
-    last: int
-    most: float
-
-
-@dataclass(frozen=True, slots=True)
-class Step:
-    """A change of the receiver's datum.
-
-    Attributes:
-        stamp: Stamp of the first fix after it, ns.
-        shift: East, north and up by which the fixes moved, metres.
-    """
-
-    stamp: int
-    shift: tuple[float, float, float]
-
-
 class FixGate:
     """Takes fixes and scans in time order, and says which fixes are used."""
 
-    def __init__(self, settings: GnssSettings, lever_arm: NDArray[np.float64]) -> None:
+    def __init__(
+        self, settings: GnssSettings, lever_arm: NDArray[np.float64], method: OdometryMethod
+    ) -> None:
         """Begin without a datum.
 
         Args:
             settings: Those of the fixes.
             lever_arm: The antenna in base_link (3,), metres.
+            method: How scans are matched.
         """
+        # Point-to-point matching reads 8 m of 14 m too little where a car speeds up.
+        self._exact = method is OdometryMethod.GICP
         self._settings = settings
         self._odometry = OdometryTrack(lever_arm)
         self._tracks: list[Track] = []  # the first one is the one that is believed
         self._frame: Datum | None = None
         self._altitude = math.nan  # of the newest fix that has one
         self._repeated: tuple[float, float, Place] | None = None
+        self._asked = 0  # fixes that were left out when deviations were doubted last
         self._abandoned: set[int] = set()  # handed on, but their track is followed no more
         self.sensor = 'gnss'
         self.received = 0
         self.suspicions: dict[str, Suspicion] = {}
-        self.steps: list[Step] = []
+        self.steps: list[DatumStep] = []
+        self._recent: deque[Entry] = deque(maxlen=MEMBERS)  # all but frozen ones
 
     # --- what it is asked
 
@@ -121,7 +111,12 @@ class FixGate:
         """
         if not self._settled:
             return frozenset()
-        others = (track.stamps for track in self._tracks[1:] if track.origin is None)
+        decided = self._tracks[0].count > START
+        others = (
+            track.stamps
+            for track in self._tracks[1:]
+            if track.origin is None and (decided or not track.crept)
+        )
         return frozenset(self._abandoned.union(*others))
 
     @property
@@ -129,6 +124,30 @@ class FixGate:
         """Whether the fixes that are in the graph may tell where it lies on the earth."""
         main = self._tracks[0] if self._tracks else None
         return main is not None and main.origin is not None and (self._settled or self._single)
+
+    def findings(self) -> tuple[Finding, ...]:
+        """What was found wrong with the fixes so far."""
+        return judged_fixes(self.sensor, self.received, self.suspicions, self.steps)
+
+    def too_certain(self) -> Finding | None:
+        """Whether the newest fixes scatter far more than they say; asked where some are left out.
+
+        Costs next to nothing as long as all are used.
+        """
+        reasons = ('gnss_jump', 'datum_outlier')
+        refused = sum(self.suspicions[one].count for one in reasons if one in self.suspicions)
+        refused += len(self._abandoned)
+        refused += sum(len(track.stamps) for track in self._tracks[1:] if track.origin is None)
+        if refused < max(REFUSED, 2 * self._asked):
+            return None
+        self._asked = refused
+        datum = self._tracks[0].datum
+        enu = np.array([datum.enu(entry.fix) for entry in self._recent])
+        local = np.array([entry.place.position for entry in self._recent])
+        reported = float(np.median([entry.sigma for entry in self._recent]))
+        far = np.hypot(*(local - local[0])[:, :2].T).max()
+        yaw = align_track(enu, local)[0] if far > self._settings.min_distance else None
+        return too_certain(self.sensor, len(enu), reported, scatter(enu, local, yaw))
 
     # --- what it is told
 
@@ -140,8 +159,9 @@ class FixGate:
         """
         old, main = self._frame, self._tracks[0]
         assert old is not None
+        refuted = self.refuted
         for track in self._tracks[1:]:
-            if track.origin is None:
+            if track.origin is None and refuted.issuperset(track.stamps):
                 far = float(np.hypot(*main.datum.enu_of(track.datum)[:2]))
                 for stamp in track.stamps:
                     self._suspect('datum_outlier', stamp, far)
@@ -181,6 +201,7 @@ class FixGate:
             sigma_up=up if up < 0.5 * NO_VERTICAL_SIGMA else math.nan,
         )
         self._check_frozen(entry)
+        self._recent.append(entry)
         if self._frame is None:
             self._frame = _datum(fix)
         track, apart = self._track_of(entry)
@@ -196,7 +217,7 @@ class FixGate:
                 track.stamps.append(fix.stamp)
             enu = track.datum.enu(fix) - np.array([0.0, 0.0, lowered])
             return Judged(enu + track.origin, covariance, doubtful=False)
-        if self._settled and track is not self._tracks[0]:
+        if self._settled and track is not self._tracks[0] and not track.crept:
             self._suspect('gnss_jump', fix.stamp, apart)
             raise MeasurementError(
                 'gnss_jump',
@@ -253,13 +274,17 @@ class FixGate:
     def _track_of(self, entry: Entry) -> tuple[Track, float]:
         """The track that a fix belongs to, maybe a new one, and how far it is off the main one."""
         main_yaw = self._tracks[0].yaw() if self._tracks else None
-        apart = 0.0
+        apart, crept = 0.0, False
         for number, track in enumerate(self._tracks):
             own = track.yaw() if number else main_yaw
-            off, allowed = track.disagreement(entry, main_yaw if own is None else own)
+            yaw = main_yaw if own is None else own
+            off, allowed = track.disagreement(entry, yaw)
             apart = apart if number else off
-            if off <= allowed:
+            if off > allowed:
+                continue
+            if self._tracks[0].count > START or not self._exact or not track.creeps(entry, yaw):
                 return track, apart
+            crept = True
         fix = entry.fix
         if len(self._tracks) == TRACKS:
             weakest = min(self._tracks[1:], key=lambda one: (one.origin is not None, one.count))
@@ -267,7 +292,7 @@ class FixGate:
             self._tracks.remove(weakest)
         datum = _datum(fix)
         origin = None if self._tracks else np.zeros(3)
-        made = Track(datum, self._settings.min_distance, origin)
+        made = Track(datum, self._settings.min_distance, origin, crept=crept)
         self._tracks.append(made)
         return made, apart
 
@@ -276,7 +301,8 @@ class FixGate:
         main = self._tracks[0]
         if track is main or track.origin is not None:
             return
-        weak = main.count < STEP or not main.moved
+        start = track.crept and main.count <= START
+        weak = main.count < STEP or not main.moved or start
         more = track.count > main.count and track.moved >= main.moved
         if weak and (more or (track.moved and not main.moved and track.count >= SETTLED)):
             self._tracks.remove(track)
@@ -284,14 +310,14 @@ class FixGate:
             main.origin = None
             if track.datum == self._frame:
                 track.origin = np.zeros(3)
-        elif track.count >= STEP and track.moved and main.moved:
+        elif not start and track.count >= STEP and track.moved and main.moved:
             track.origin = self._origin(track)
             self._abandoned.update(track.stamps)
             track.stamps.clear()
             first = track.members[0].entry.fix.stamp
             shift = main.datum.enu_of(track.datum) - track.origin
             east, north, up = (float(value) for value in shift)
-            self.steps.append(Step(first, (east, north, up)))
+            self.steps.append(DatumStep(first, (east, north, up)))
 
     def _origin(self, track: Track) -> NDArray[np.float64]:
         """Where the datum of a track lies in the frame (3,), by odometry from the main one."""
@@ -314,9 +340,8 @@ class FixGate:
         return origin
 
     def _suspect(self, reason: str, stamp: int, metres: float) -> None:
-        known = self.suspicions.setdefault(reason, Suspicion(0, stamp, stamp, 0.0))
+        known = self.suspicions.setdefault(reason, Suspicion(0, stamp, 0.0))
         known.count += 1
-        known.last = stamp
         known.most = max(known.most, metres)
 
 

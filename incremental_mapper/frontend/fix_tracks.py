@@ -82,6 +82,7 @@ class Track:
         stamps: Those of them that are in the graph, as long as they may have to leave it.
         levels: The heights that its fixes have had, the first one first.
         moved: Whether fixes and odometry have seen the car move.
+        crept: Whether it went on from another track, step by step, until the two were apart.
     """
 
     datum: Datum
@@ -92,6 +93,7 @@ class Track:
     stamps: list[int] = field(default_factory=list)
     levels: list[Level] = field(default_factory=lambda: [Level(0.0, 0)])
     moved: bool = False
+    crept: bool = False
 
     def disagreement(self, entry: Entry, yaw: float | None) -> tuple[float, float]:
         """How far the way since the newest fix is off.
@@ -104,21 +106,40 @@ class Track:
             Horizontal metres, and how many of them may be.
         """
         newest = self.members[-1]
-        by_fixes = (self.datum.enu(entry.fix) - newest.enu)[:2]
-        by_odometry = (entry.place.position - newest.entry.place.position)[:2]
-        allowed = _allowed(newest.entry, entry, np.hypot(newest.entry.sigma, entry.sigma))
-        longer = float(np.hypot(*by_fixes) - np.hypot(*by_odometry))
-        apart = abs(longer)
-        if yaw is not None:
-            cosine, sine = np.cos(yaw), np.sin(yaw)
-            turned = np.array([[cosine, -sine], [sine, cosine]]) @ by_odometry
-            apart = float(np.hypot(*(by_fixes - turned)))
+        apart, longer, allowed = self._apart(newest, entry, yaw)
+        if longer <= 0.0:
+            return apart, allowed
         # Scan matching may read hardly any motion; fixes that move steadily are right then.
-        steady = self._from_steady_motion(entry, by_fixes) if longer > 0.0 else np.inf
-        return min(apart, steady), allowed
+        return min(apart, self._from_steady_motion(entry)), allowed
 
-    def _from_steady_motion(self, entry: Entry, way: NDArray[np.float64]) -> float:
-        """Metres by which a way since the newest fix differs from that of a steady car."""
+    def creeps(self, entry: Entry, yaw: float | None) -> bool:
+        """Whether a fix that agrees with the newest one disagrees with older ones.
+
+        Args:
+            entry: The next fix.
+            yaw: From odometry's frame to ENU, radians, None where it is not known.
+        """
+        older = self.members[0], self.members[len(self.members) // 2]
+        for member in older:
+            apart, _, allowed = self._apart(member, entry, yaw)
+            if apart > allowed:
+                return True
+        return False
+
+    def _apart(self, member: Member, entry: Entry, yaw: float | None) -> tuple[float, float, float]:
+        """How far the way since a member is off, how much longer it is, and what may be."""
+        by_fixes = (self.datum.enu(entry.fix) - member.enu)[:2]
+        by_odometry = (entry.place.position - member.entry.place.position)[:2]
+        allowed = _allowed(member.entry, entry, np.hypot(member.entry.sigma, entry.sigma))
+        longer = float(np.hypot(*by_fixes) - np.hypot(*by_odometry))
+        if yaw is None:
+            return abs(longer), longer, allowed
+        cosine, sine = np.cos(yaw), np.sin(yaw)
+        turned = np.array([[cosine, -sine], [sine, cosine]]) @ by_odometry
+        return float(np.hypot(*(by_fixes - turned))), longer, allowed
+
+    def _from_steady_motion(self, entry: Entry) -> float:
+        """Metres by which the way since the newest fix differs from that of a steady car."""
         if len(self.members) < 2:
             return np.inf
         older, newest = self.members[-2], self.members[-1]
@@ -129,6 +150,7 @@ class Track:
         velocity = (newest.enu - older.enu)[:2] / before
         if np.hypot(*velocity) > TOP_SPEED:
             return np.inf
+        way = (self.datum.enu(entry.fix) - newest.enu)[:2]
         freedom = 0.5 * ACCELERATION * passed * (passed + before)
         return max(float(np.hypot(*(way - velocity * passed))) - freedom, 0.0)
 

@@ -58,7 +58,7 @@ class FrontEnd:
     def __init__(self, config: Config) -> None:
         self._config = config
         self._stations: dict[str, ScanStation] = {}
-        self.gate = FixGate(config.fixes, config.gnss.matrix()[:3, 3])
+        self.gate = FixGate(config.fixes, config.gnss.matrix()[:3, 3], config.odometry.method)
         self.drops: Drops = Counter()
         self.notes: Counter[str] = Counter()  # what was used, but not in full
         if config.odometry.processes:

@@ -287,6 +287,7 @@ class Mapper:
         self._series = self._series.joined(window.imu)
         prepared = [item for part in begun for item in self._front_end.collect(part)]
         self._watch.prepared(prepared)
+        self._watch.fixes(self._front_end.gate)
         spent = time.perf_counter() - started + sum(part.seconds for part in begun)
         seconds = {'front_end': spent}
         frame = _Frame(window.start, window.end, len(window.imu), seconds)

@@ -4,6 +4,7 @@ from collections.abc import Iterable, Sequence
 
 from incremental_mapper.checks.finding import Finding, ranked
 from incremental_mapper.config import Config, Tree
+from incremental_mapper.frontend.fix_gate import FixGate
 from incremental_mapper.frontend.front_end import Prepared
 from incremental_mapper.mapping.imu_watch import ImuWatch
 from incremental_mapper.mapping.judgement import FitWatch
@@ -26,7 +27,9 @@ class Watch:
         self.fit = FitWatch(config)
         self.mend: Tree = {}
         self._imu = ImuWatch(config)
-        self._presence = PresenceWatch()
+        return ranked(
+            [*self._findings, *self._of_fixes(), *self.fit.found, *self._presence.so_far()]
+        )
 
     def measurement(self, measurement: Measurement) -> None:
         """Look at a measurement as it comes in."""
@@ -43,6 +46,13 @@ class Watch:
         for finding in self._imu.matches(prepared):
             self.add(finding)
 
+    def fixes(self, gate: FixGate) -> None:
+        """Look at what the gate made of a window's fixes."""
+        self._gate = gate
+        certain = gate.too_certain()
+        if certain is not None:
+            self.add(certain)
+
     def end(self) -> None:
         """Decide what waits for more measurements: none will come."""
         for finding in self._imu.end():
@@ -56,7 +66,9 @@ class Watch:
 
     def findings(self) -> tuple[Finding, ...]:
         """What was found so far, the worst first; its cost does not grow with the drive."""
-        return ranked([*self._findings, *self.fit.found, *self._presence.so_far()])
+        return ranked(
+            [*self._findings, *self._of_fixes(), *self.fit.found, *self._presence.so_far()]
+        )
 
     def mended(self) -> tuple[Finding, ...]:
         """The findings that ``mend`` follows from."""
@@ -68,4 +80,9 @@ class Watch:
         Args:
             judged: What ``judge_map`` found, in place of what was found while the map grew.
         """
-        return ranked([*self._findings, *judged, *self._presence.findings()])
+        return ranked(
+            [*self._findings, *self._of_fixes(), *judged, *self._presence.findings()]
+        )
+
+    def _of_fixes(self) -> tuple[Finding, ...]:
+        return () if self._gate is None else self._gate.findings()

@@ -232,7 +232,8 @@ def fix_spread(state: GraphState, items: Sequence[Prepared]) -> Mapping[int, tup
     for fix in fixes:
         far = 2.0 * float(np.linalg.norm((fix.enu - first)[:2]))
         if fix.doubtful:
-            spread[fix.core.stamp] = max(far, NO_VERTICAL_SIGMA), NO_VERTICAL_SIGMA
+            wide = max(far, NO_VERTICAL_SIGMA)
+            spread[fix.core.stamp] = wide, wide
         elif not state.georeferenced:
             spread[fix.core.stamp] = far, 0.0
     return spread

@@ -1,0 +1,160 @@
+"""What fixes say of their receiver: jumps, a stuck position, another datum, too small deviations."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from incremental_mapper.checks.finding import Finding, Severity
+
+MOST = 0.5
+"""Share of the fixes that may be wrong before odometry is as likely to be."""
+FEWEST = 6
+"""Fixes that tell how far they scatter."""
+SCATTER = 3.0
+"""So many times the deviation that they report, they scatter at least where that is wrong."""
+LEAST_SCATTER = 0.5
+"""Metres; less than that is odometry's part. Fixes and odometry scatter by 0.36 m from one second to
+the next on KITTI, 0.15 m on simulated drives."""
+MOST_SCATTER = 10.0
+"""Metres; what scatters more is no noise."""
+REFUSED = 3
+"""Fixes that must have been left out before their deviations are doubted."""
+RAYLEIGH = 1.18
+"""Median length of a vector of two normal numbers, in their standard deviations."""
+
+
+@dataclass(slots=True)
+class Suspicion:
+    """Fixes that were found wrong for one reason.
+
+    Attributes:
+        count: How many.
+        first: Stamp of the first one, ns.
+        most: Metres by which the worst is off.
+    """
+
+    count: int
+    first: int
+    most: float
+
+
+@dataclass(frozen=True, slots=True)
+class DatumStep:
+    """A change of the receiver's datum.
+
+    Attributes:
+        stamp: Stamp of the first fix after it, ns.
+        shift: East, north and up by which the fixes moved, metres.
+    """
+
+    stamp: int
+    shift: tuple[float, float, float]
+
+
+_TEXTS = {
+    'gnss_jump': 'are up to {most} from where odometry and the fixes before them say',
+    'frozen_fix': 'repeat a position bit for bit while the car moves up to {most}',
+    'datum_outlier': 'at the start are up to {most} from where the later ones and odometry say',
+    'altitude_jump': 'are up to {most} higher or lower than odometry and the fixes before them say',
+}
+_REMEDIES = {
+    'altitude_jump': 'their heights are moved back where that is certain, else left out',
+}
+
+
+def judged_fixes(
+    sensor: str, received: int, suspicions: Mapping[str, Suspicion], steps: list[DatumStep]
+) -> tuple[Finding, ...]:
+    """What was found wrong with the fixes of a drive.
+
+    Args:
+        sensor: Name of the receiver.
+        received: Its usable fixes.
+        suspicions: Those that were found wrong, by reason.
+        steps: Changes of its datum.
+    """
+    out = sum(one.count for reason, one in suspicions.items() if reason != 'altitude_jump')
+    found = [
+        Finding(
+            rule=reason,
+            severity=_severity(reason, out, received),
+            sensor=sensor,
+            text=f'{one.count} of {received} fixes '
+            f'{_TEXTS[reason].format(most=_metres(one.most))}, the first at {one.first}',
+            remedy=_REMEDIES.get(reason, _left_out(out, received)),
+        )
+        for reason, one in suspicions.items()
+    ]
+    if steps:
+        east, north, up = steps[-1].shift
+        found.append(
+            Finding(
+                rule='datum_step',
+                severity=Severity.WARNING,
+                sensor=sensor,
+                text=f'the datum changes {len(steps)} times, last at {steps[-1].stamp} by '
+                f'{_metres(float(np.hypot(east, north)))} horizontally and {_metres(abs(up))} '
+                'vertically, while fixes before and after agree with odometry',
+                remedy='fixes after it are moved back; the datum of the larger part is kept',
+            )
+        )
+    return tuple(found)
+
+
+def scatter(enu: NDArray[np.float64], local: NDArray[np.float64], yaw: float | None) -> float:
+    """Standard deviation of fixes against odometry from one to the next, metres.
+
+    Args:
+        enu: Fixes (K, 3), K >= 2, metres.
+        local: The same by odometry.
+        yaw: From odometry's frame to ENU, radians, None where it is not known.
+    """
+    a, b = np.diff(enu[:, :2], axis=0), np.diff(local[:, :2], axis=0)
+    if yaw is None:
+        # Only lengths can be compared: one number of two.
+        off = np.abs(np.hypot(*a.T) - np.hypot(*b.T))
+        return float(np.median(off)) / (0.67 * np.sqrt(2.0))
+    cosine, sine = np.cos(yaw), np.sin(yaw)
+    off = np.hypot(*(a - b @ np.array([[cosine, sine], [-sine, cosine]])).T)
+    return float(np.median(off)) / (RAYLEIGH * np.sqrt(2.0))
+
+
+def too_certain(sensor: str, fixes: int, reported: float, seen: float) -> Finding | None:
+    """Deviations that are far smaller than the fixes scatter.
+
+    Args:
+        sensor: Name of the receiver.
+        fixes: How many were looked at.
+        reported: Their median standard deviation, with the settings' floor, metres.
+        seen: How far they scatter, metres.
+    """
+    if fixes < FEWEST or not max(SCATTER * reported, LEAST_SCATTER) < seen < MOST_SCATTER:
+        return None
+    sigma = float(np.ceil(10.0 * seen) / 10.0)
+    return Finding(
+        rule='optimistic_covariance',
+        severity=Severity.MENDED,
+        sensor=sensor,
+        text=f'{fixes} fixes scatter by {seen:.1f} m against odometry, where their covariances '
+        f'say {reported:.2f} m',
+        remedy=f'fixes.min_sigma: {sigma} is used',
+        settings={'fixes': {'min_sigma': sigma}},
+    )
+
+
+def _severity(reason: str, out: int, received: int) -> Severity:
+    if reason == 'frozen_fix' or out > MOST * received:
+        return Severity.WARNING
+    return Severity.MENDED
+
+
+def _left_out(out: int, received: int) -> str:
+    if out > MOST * received:
+        return 'they are left out; if the receiver is right, scan matching is wrong'
+    return 'they are left out'
+
+
+def _metres(value: float) -> str:
+    return f'{value / 1000.0:.0f} km' if value >= 10_000.0 else f'{value:.1f} m'
