@@ -167,7 +167,7 @@ def make_fix(
     Args:
         stamp: Header stamp, ns.
         sensor: Name of the receiver.
-        latitude: Degrees, WGS-84.
+        latitude: Degrees, WGS-84; one above 90 that the longitude could be is swapped with it.
         longitude: Degrees, WGS-84.
         altitude: Metres above the ellipsoid; what is not finite is no altitude.
         status: As in ``sensor_msgs/NavSatStatus``; what is above GBAS counts as GBAS.
@@ -188,11 +188,17 @@ def make_fix(
         raise MeasurementError(
             'not_finite', f'{where}: position {latitude}, {longitude} is not finite'
         )
+    swapped = 90.0 < abs(latitude) <= 180.0 and 0.0 < abs(longitude) <= 90.0
+    if swapped:
+        latitude, longitude = longitude, latitude
     if abs(latitude) > 90.0 or abs(longitude) > 360.0 or (latitude == 0.0 and longitude == 0.0):
         raise MeasurementError(
             'out_of_range', f'{where}: latitude {latitude}, longitude {longitude} are no place'
         )
     known, remarks = _known_covariance(altitude, covariance)
+    if swapped:
+        text = f'latitude {longitude:.6f} is none, longitude {latitude:.6f} would be: swapped'
+        remarks = (*remarks, Remark('swapped_fix', text))
     return GnssFix(
         stamp=stamp,
         sensor=sensor,

@@ -1,5 +1,6 @@
-"""What fixes say of their receiver: jumps, a stuck position, another datum, too small deviations."""
+"""What fixes say of their receiver: jumps, a stuck position, another datum, small deviations."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -10,19 +11,22 @@ from incremental_mapper.checks.finding import Finding, Severity
 
 MOST = 0.5
 """Share of the fixes that may be wrong before odometry is as likely to be."""
-FEWEST = 6
+FEWEST = 8
 """Fixes that tell how far they scatter."""
 SCATTER = 3.0
 """So many times the deviation that they report, they scatter at least where that is wrong."""
 LEAST_SCATTER = 0.5
-"""Metres; less than that is odometry's part. Fixes and odometry scatter by 0.36 m from one second to
+"""Metres; less is odometry's part. Fixes and odometry scatter by 0.36 m from one second to
 the next on KITTI, 0.15 m on simulated drives."""
 MOST_SCATTER = 10.0
 """Metres; what scatters more is no noise."""
 REFUSED = 3
 """Fixes that must have been left out before their deviations are doubted."""
-RAYLEIGH = 1.18
-"""Median length of a vector of two normal numbers, in their standard deviations."""
+NORMAL, RAYLEIGH = 0.67, 1.18
+"""Median size of a normal number, and of a vector of two, in their standard deviations."""
+SQRT2 = math.sqrt(2.0)
+DRIFTING = 1.5
+"""So many times further off over twice the fixes, they drift."""
 
 
 @dataclass(slots=True)
@@ -104,21 +108,31 @@ def judged_fixes(
 
 
 def scatter(enu: NDArray[np.float64], local: NDArray[np.float64], yaw: float | None) -> float:
-    """Standard deviation of fixes against odometry from one to the next, metres.
+    """Standard deviation of fixes that scatter at random around odometry, metres.
 
     Args:
-        enu: Fixes (K, 3), K >= 2, metres.
+        enu: Fixes (K, 3), metres, K from ``FEWEST`` on.
         local: The same by odometry.
         yaw: From odometry's frame to ENU, radians, None where it is not known.
+
+    Returns:
+        The smallest of what lengths and directions say; 0 where the fixes drift away instead:
+        over twice as many fixes they are then twice as far off, noise is not.
     """
+    near, far = _off(enu, local, yaw), _off(enu[::2], local[::2], yaw)
+    return 0.0 if far > DRIFTING * near else near
+
+
+def _off(enu: NDArray[np.float64], local: NDArray[np.float64], yaw: float | None) -> float:
+    """Standard deviation of each of two fixes by the median difference from one to the next."""
     a, b = np.diff(enu[:, :2], axis=0), np.diff(local[:, :2], axis=0)
+    # Lengths are one number of two, where there is a length; two where the car stands.
+    length = float(np.median(np.abs(np.hypot(*a.T) - np.hypot(*b.T)))) / NORMAL
     if yaw is None:
-        # Only lengths can be compared: one number of two.
-        off = np.abs(np.hypot(*a.T) - np.hypot(*b.T))
-        return float(np.median(off)) / (0.67 * np.sqrt(2.0))
+        return length / SQRT2
     cosine, sine = np.cos(yaw), np.sin(yaw)
-    off = np.hypot(*(a - b @ np.array([[cosine, sine], [-sine, cosine]])).T)
-    return float(np.median(off)) / (RAYLEIGH * np.sqrt(2.0))
+    apart = np.hypot(*(a - b @ np.array([[cosine, sine], [-sine, cosine]])).T)
+    return min(length, float(np.median(apart)) / RAYLEIGH) / SQRT2
 
 
 def too_certain(sensor: str, fixes: int, reported: float, seen: float) -> Finding | None:

@@ -8,6 +8,7 @@ _SEVERITIES = {
     'absurd_times': Severity.MENDED,
     'no_altitude': Severity.MENDED,
     'no_vertical_variance': Severity.MENDED,
+    'swapped_fix': Severity.MENDED,
 }
 
 

@@ -174,9 +174,8 @@ class BagSource:
             other_frame(sensor, self._frames[sensor], frame, count)
             for (sensor, frame), count in self._other_frames.items()
         ]
-        notes = (*self._info.notes, *self._remarks.notes())
         findings = (*self._info.findings, *frames, *self._remarks.findings())
-        return replace(self._info, notes=notes, findings=findings)
+        return replace(self._info, findings=findings)
 
     @property
     def drops(self) -> Drops:

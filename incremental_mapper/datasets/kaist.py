@@ -86,9 +86,8 @@ class KaistSource:
     @property
     def info(self) -> SourceInfo:
         """Facts about the folder, with what the last run of ``measurements`` remarked."""
-        notes = (*self._info.notes, *self._remarks.notes())
         findings = (*self._info.findings, *self._remarks.findings())
-        return replace(self._info, notes=notes, findings=findings)
+        return replace(self._info, findings=findings)
 
     @property
     def drops(self) -> Drops:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from incremental_mapper.checks.finding import Finding
 from incremental_mapper.checks.fixes import (
+    FEWEST,
     REFUSED,
     DatumStep,
     Suspicion,
@@ -26,7 +27,7 @@ from incremental_mapper.checks.fixes import (
 )
 from incremental_mapper.config import GnssSettings, OdometryMethod
 from incremental_mapper.errors import MeasurementError
-from incremental_mapper.frontend.fix_tracks import MEMBERS, TOP_SPEED, Entry, Track
+from incremental_mapper.frontend.fix_tracks import MEMBERS, Entry, Track, alike, unseen
 from incremental_mapper.frontend.gnss import Datum, align_track
 from incremental_mapper.frontend.lidar_odometry import PreparedScan
 from incremental_mapper.frontend.odometry_track import OdometryTrack, Place
@@ -111,12 +112,7 @@ class FixGate:
         """
         if not self._settled:
             return frozenset()
-        decided = self._tracks[0].count > START
-        others = (
-            track.stamps
-            for track in self._tracks[1:]
-            if track.origin is None and (decided or not track.crept)
-        )
+        others = (track.stamps for track in self._tracks[1:] if track.origin is None)
         return frozenset(self._abandoned.union(*others))
 
     @property
@@ -140,6 +136,8 @@ class FixGate:
         refused += sum(len(track.stamps) for track in self._tracks[1:] if track.origin is None)
         if refused < max(REFUSED, 2 * self._asked):
             return None
+        if len(self._recent) < FEWEST:
+            return None
         self._asked = refused
         datum = self._tracks[0].datum
         enu = np.array([datum.enu(entry.fix) for entry in self._recent])
@@ -159,9 +157,8 @@ class FixGate:
         """
         old, main = self._frame, self._tracks[0]
         assert old is not None
-        refuted = self.refuted
         for track in self._tracks[1:]:
-            if track.origin is None and refuted.issuperset(track.stamps):
+            if track.origin is None:
                 far = float(np.hypot(*main.datum.enu_of(track.datum)[:2]))
                 for stamp in track.stamps:
                     self._suspect('datum_outlier', stamp, far)
@@ -217,7 +214,7 @@ class FixGate:
                 track.stamps.append(fix.stamp)
             enu = track.datum.enu(fix) - np.array([0.0, 0.0, lowered])
             return Judged(enu + track.origin, covariance, doubtful=False)
-        if self._settled and track is not self._tracks[0] and not track.crept:
+        if self._settled and track is not self._tracks[0]:
             self._suspect('gnss_jump', fix.stamp, apart)
             raise MeasurementError(
                 'gnss_jump',
@@ -262,8 +259,8 @@ class FixGate:
             return
         seconds = (fix.stamp - same[2].stamp) / NANOSECONDS
         moved = float(np.hypot(*(place.position - same[2].position)[:2]))
-        unseen = TOP_SPEED * (place.blind - same[2].blind + place.ahead + same[2].ahead)
-        if moved > FROZEN_DISTANCE + FROZEN_CREEP * seconds + unseen:
+        allowed = FROZEN_DISTANCE + FROZEN_CREEP * seconds + unseen(same[2], place)
+        if moved > allowed:
             self._suspect('frozen_fix', fix.stamp, moved)
             raise MeasurementError(
                 'frozen_fix',
@@ -273,21 +270,22 @@ class FixGate:
 
     def _track_of(self, entry: Entry) -> tuple[Track, float]:
         """The track that a fix belongs to, maybe a new one, and how far it is off the main one."""
-        main_yaw = self._tracks[0].yaw() if self._tracks else None
+        starting = not self._tracks or self._tracks[0].count <= START
+        main_yaw = None if starting else self._tracks[0].yaw()
         apart, crept = 0.0, False
         for number, track in enumerate(self._tracks):
-            own = track.yaw() if number else main_yaw
+            own = track.yaw()
             yaw = main_yaw if own is None else own
             off, allowed = track.disagreement(entry, yaw)
             apart = apart if number else off
             if off > allowed:
                 continue
-            if self._tracks[0].count > START or not self._exact or not track.creeps(entry, yaw):
+            if not starting or not self._exact or not track.creeps(entry, yaw):
                 return track, apart
             crept = True
         fix = entry.fix
         if len(self._tracks) == TRACKS:
-            weakest = min(self._tracks[1:], key=lambda one: (one.origin is not None, one.count))
+            weakest = min(self._tracks[1:], key=lambda one: (one.origin is not None, one.weight))
             self._abandoned.update(weakest.stamps)
             self._tracks.remove(weakest)
         datum = _datum(fix)
@@ -301,7 +299,7 @@ class FixGate:
         main = self._tracks[0]
         if track is main or track.origin is not None:
             return
-        start = track.crept and main.count <= START
+        start = main.count <= START and (track.crept or (self._exact and not alike(main, track)))
         weak = main.count < STEP or not main.moved or start
         more = track.count > main.count and track.moved >= main.moved
         if weak and (more or (track.moved and not main.moved and track.count >= SETTLED)):

@@ -29,6 +29,8 @@ TOP_SPEED = 60.0
 """m/s; nothing that carries a LiDAR drives faster."""
 STEADY_SECONDS = 3.0
 """Seconds over which the motion of the fixes themselves may be followed."""
+TURN = 0.15
+"""Radians, and share of the way, by which two tracks differ where both are right."""
 MEMBERS = 20
 """Newest fixes of a track that tell its yaw."""
 LEVELS = 4
@@ -214,11 +216,30 @@ class Track:
             return None
         return align_track(enu, local)[0]
 
+    @property
+    def weight(self) -> tuple[int, int]:
+        """How many fixes it has, and the stamp of the newest one."""
+        return self.count, self.members[-1].entry.fix.stamp
+
     def positions(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The newest fixes (K, 3) around the datum, and the same by odometry, metres."""
         enu = np.array([member.enu for member in self.members])
         local = np.array([member.entry.place.position for member in self.members])
         return enu, local
+
+
+def alike(one: Track, other: Track) -> bool:
+    """Whether odometry is turned and stretched alike in two tracks; not so while fixes converge."""
+    yaws = one.yaw(), other.yaw()
+    if yaws[0] is None or yaws[1] is None:
+        return True
+    turn = float(np.angle(np.exp(1j * (yaws[1] - yaws[0]))))
+    stretches, noise = [], 0.0
+    for track in (one, other):
+        enu, local = track.positions()
+        stretches.append(_extent(enu) / _extent(local))
+        noise += NOISES * max(member.entry.sigma for member in track.members) / _extent(local)
+    return abs(turn) <= TURN + noise and abs(stretches[1] - stretches[0]) <= TURN + noise
 
 
 def _extent(positions: NDArray[np.float64]) -> float:
@@ -230,9 +251,13 @@ def _seconds(first: Entry, second: Entry) -> float:
     return (second.fix.stamp - first.fix.stamp) / 1e9
 
 
+def unseen(first: Place, second: Place) -> float:
+    """Metres that the car may have gone otherwise where no scan was matched."""
+    blind = second.blind - first.blind + first.ahead + second.ahead
+    return min(0.5 * ACCELERATION * blind**2, TOP_SPEED * blind)
+
+
 def _allowed(first: Entry, second: Entry, noise: float) -> float:
     """Metres by which two fixes may disagree with odometry."""
-    one, other = first.place, second.place
-    blind = other.blind - one.blind + one.ahead + other.ahead
-    unseen = min(0.5 * ACCELERATION * blind**2, TOP_SPEED * blind)
-    return SLACK + NOISES * float(noise) + DRIFT * (other.way - one.way) + unseen
+    way = second.place.way - first.place.way
+    return SLACK + NOISES * float(noise) + DRIFT * way + unseen(first.place, second.place)

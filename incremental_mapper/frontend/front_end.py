@@ -14,7 +14,7 @@ from incremental_mapper.candidates.model import CoreKind, CoreMeasurement
 from incremental_mapper.config import Config
 from incremental_mapper.errors import MeasurementError
 from incremental_mapper.frontend.fix_gate import FixGate
-from incremental_mapper.frontend.gnss import checked_covariance
+from incremental_mapper.frontend.gnss import Datum, checked_covariance
 from incremental_mapper.frontend.lidar_odometry import PreparedScan
 from incremental_mapper.frontend.odometry_process import LocalStation, ProcessStation, ScanStation
 from incremental_mapper.measurements import CoreInput, Drops, GnssFix, LidarScan
@@ -64,6 +64,11 @@ class FrontEnd:
         if config.odometry.processes:
             for name in config.lidars:  # they take a second or two to start
                 self._station(name)
+
+    @property
+    def datum(self) -> Datum | None:
+        """Origin of ENU as the larger part of the fixes has it, None before the first one."""
+        return self.gate.datum
 
     def start(self, core: tuple[CoreInput, ...]) -> Preparation:
         """Begin to prepare a window's core measurements; fixes that cannot be used are counted.

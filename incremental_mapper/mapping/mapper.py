@@ -239,7 +239,7 @@ class Mapper:
             notes=self._front_end.notes,
             late=self._buffer.late,
             unused=[item.core for item in self._carried],
-            datum=self._front_end.gate.datum,
+            datum=self._front_end.datum,
         )
 
     def stats(self) -> dict[str, Any]:

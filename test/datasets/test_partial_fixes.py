@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
-from bag_files import FIX, MS, START, STORES, message
-from rosbags.rosbag2 import StoragePlugin, Writer
+from bag_files import FIX, START, message
 
 from incremental_mapper.config import Config, GnssSettings
 from incremental_mapper.datasets.message_conversion import fix_from_message
-from incremental_mapper.datasets.open import open_source
+from incremental_mapper.errors import MeasurementError
 from incremental_mapper.frontend.front_end import FrontEnd
 from incremental_mapper.frontend.gnss import checked_covariance
 from incremental_mapper.measurements import NO_VERTICAL_SIGMA, make_fix
@@ -81,36 +80,10 @@ def test_a_message_without_altitude_is_a_fix():
     assert np.isnan(fix_from_message(raw).altitude)
 
 
-def fixes_bag(path, places):
-    """A bag of clouds' sake: fixes every 200 ms at the given latitudes."""
-    store = STORES[2]
-    cloud = 'sensor_msgs/msg/PointCloud2'
-    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        connections = {
-            kind: writer.add_connection(name, kind, typestore=store)
-            for name, kind in (('/points', cloud), ('/fix', FIX))
-        }
-        for i, latitude in enumerate(places):
-            stamp = START + i * 200 * MS
-            for kind, connection in connections.items():
-                made = message(kind, stamp)
-                if kind == FIX:
-                    made.__dict__.update(latitude=latitude)
-                writer.write(connection, stamp, store.serialize_cdr(made, kind))
-    return path
-
-
-def notes_of(path, places) -> list[str]:
-    source = open_source(fixes_bag(path, places), {})
-    list(source.measurements())
-    return [note for note in source.info.notes if 'frozen_fix' in note]
-
-
-def test_a_frozen_receiver_is_counted(tmp_path):
-    moving = [36.5 + 1e-6 * i for i in range(10)]
-    (note,) = notes_of(tmp_path / 'bag', [*moving, *[36.6] * 21, *moving, *[36.7] * 3])
-    assert '20 fixes repeat' in note and 'up to 4.0 s' in note
-
-
-def test_a_receiver_that_rounds_is_not_frozen(tmp_path):
-    assert notes_of(tmp_path / 'bag', [36.5 + 1e-6 * (i // 4) for i in range(40)]) == []
+def test_latitude_and_longitude_that_are_swapped_for_certain_are_swapped_back():
+    swapped = make_fix(1, 'gnss', 127.3, 36.5, 50.0, 2, None)
+    assert (swapped.latitude, swapped.longitude) == (36.5, 127.3)
+    assert [remark.reason for remark in swapped.remarks] == ['swapped_fix']
+    for latitude, longitude in ((127.3, 0.0), (127.3, 128.0), (181.0, 36.5)):
+        with pytest.raises(MeasurementError):
+            make_fix(1, 'gnss', latitude, longitude, 50.0, 2, None)

@@ -1,5 +1,7 @@
 """The local map is turned into ENU by its GNSS track, once the track says where it points."""
 
+from dataclasses import replace
+
 import gtsam
 import numpy as np
 import pymap3d
@@ -13,7 +15,7 @@ from incremental_mapper.frontend.imu_preintegration import preintegration_parame
 from incremental_mapper.geometry import pose_matrix
 from incremental_mapper.graph.factors import FactorKind
 from incremental_mapper.mapping.commit import commit
-from incremental_mapper.mapping.georeferencing import agreeing_track, georeference
+from incremental_mapper.mapping.georeferencing import agreeing_track, georeference, without_fixes
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.measurements import FixStatus, GnssFix, ImuSample, LidarScan
 from incremental_mapper.selection.base_graph import BaseGraph
@@ -168,11 +170,13 @@ def test_fix_is_trusted_the_less_the_further_it_is_from_the_first_while_the_yaw_
         )
         for stamp, east in ((1, 0.5), (2, 1.5))
     ]
-    assert fix_spread(GraphState(), items) == {1: 0.0, 2: pytest.approx(2.0)}
+    assert fix_spread(GraphState(), items) == {1: (0.0, 0.0), 2: pytest.approx((2.0, 0.0))}
     known = GraphState(fixes=[placed(0.0)])
-    assert fix_spread(known, items) == {1: pytest.approx(1.0), 2: pytest.approx(3.0)}
+    assert fix_spread(known, items) == {1: pytest.approx((1.0, 0.0)), 2: pytest.approx((3.0, 0.0))}
     assert fix_spread(GraphState(georeferenced=True), items) == {}
     assert fix_spread(GraphState(), []) == {}
+    doubtful = [replace(items[0], doubtful=True)]
+    assert fix_spread(GraphState(georeferenced=True), doubtful) == {1: (1e4, 1e4)}
 
 
 # What is turned, on a graph whose every number is known.
@@ -336,3 +340,26 @@ def test_noise_of_the_fixes_makes_up_for_some_of_the_way(sigma, agree):
 def test_track_is_longer_than_the_least_distance(distance, far):
     track = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
     assert (agreeing_track(track, track, np.zeros(2), distance) is not None) == far
+
+
+def test_fixes_that_proved_wrong_leave_the_graph_and_it_is_as_without_them():
+    state, config = driven_car()
+    clean, _ = driven_car()
+    assert georeference(clean, config)
+    wrong = {state.fixes[i].stamp for i in (0, 3)}
+    shift = np.array([-2000.0, 700.0, 40.0])
+    for i in (0, 3):
+        factor = state.fixes[i].factor
+        bad = state.fixes[i].enu + np.array([500.0, 0.0, 20.0])
+        state.fixes[i] = replace(state.fixes[i], enu=bad)
+        assert state.factors[factor].kind is FactorKind.GNSS
+    before = len(state.factors)
+    without_fixes(state, config, wrong, lambda enu: enu + shift)
+    assert not state.georeferenced and len(state.factors) == before - 2
+    assert state.factor_counts['gnss'] == len(state.fixes) == len(clean.fixes) - 2
+    assert all(state.factors[fix.factor].stamps == (fix.stamp,) for fix in state.fixes)
+    assert georeference(state, config)
+    for placed in state.clusters:
+        pose = state.pose(placed.id)
+        back = gtsam.Pose3(pose.rotation(), pose.translation() - shift)
+        car.assert_poses(back, clean.pose(placed.id), 0.1, 0.01)

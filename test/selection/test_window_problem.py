@@ -118,7 +118,10 @@ def test_fix_is_trusted_the_less_the_further_it_is_from_the_first_one():
     state = known_state()
     items = [fix(stamp) for stamp in (40 * MS, 240 * MS)]
     apart = np.linalg.norm((items[1].enu - items[0].enu)[:2])
-    assert fix_spread(state, items) == {40 * MS: 0.0, 240 * MS: pytest.approx(2.0 * apart)}
+    assert fix_spread(state, items) == {
+        40 * MS: (0.0, 0.0),
+        240 * MS: pytest.approx((2.0 * apart, 0.0)),
+    }
 
 
 def test_series_and_frontier_are_handed_on():

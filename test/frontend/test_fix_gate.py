@@ -1,0 +1,232 @@
+"""Which fixes are used: those that agree with each other and with odometry."""
+
+import gtsam
+import numpy as np
+import pymap3d
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from incremental_mapper.candidates.model import CoreKind, CoreMeasurement
+from incremental_mapper.config import GnssSettings, OdometryMethod
+from incremental_mapper.errors import MeasurementError
+from incremental_mapper.frontend.fix_gate import FixGate
+from incremental_mapper.frontend.lidar_odometry import PreparedScan
+from incremental_mapper.measurements import NANOSECONDS, FixStatus, GnssFix
+
+START = 1_544_676_777_000_000_000
+DATUM = (36.4, 129.0, 90.0)
+HEADING = -1.16
+SPEED = 5.0
+SIGMA = 0.05
+
+
+class Drive:
+    """A car that drives straight on, seen by a LiDAR at 10 Hz and by a receiver."""
+
+    def __init__(self, speed=SPEED, method=OdometryMethod.GICP):
+        self.gate = FixGate(GnssSettings(), np.zeros(3), method)
+        self.speed = speed
+        self.scans = 0
+        self.used, self.doubtful, self.refused, self.gone = {}, set(), {}, set()
+        self.rng = np.random.default_rng(1)
+
+    def way(self, seconds):
+        return self.speed * seconds
+
+    def scan(self):
+        stamp = START + self.scans * NANOSECONDS // 10
+        previous = stamp - NANOSECONDS // 10 if self.scans else None
+        step = self.way(self.scans / 10) - self.way((self.scans - 1) / 10)
+        motion = gtsam.Pose3(gtsam.Rot3(), np.array([step, 0, 0])) if self.scans else None
+        core = CoreMeasurement(stamp, 'left', CoreKind.LIDAR)
+        self.gate.scan(PreparedScan(core, np.zeros((1, 3)), np.zeros((1, 3)), previous, motion))
+        self.scans += 1
+
+    def fix(self, number, seconds, off, noise=0.02, again=None):
+        while self.scans / 10 <= seconds:
+            self.scan()
+        way = self.way(seconds) if again is None else self.way(again)
+        place = np.array([np.cos(HEADING), np.sin(HEADING), 0.0]) * way + off
+        place = place + (self.rng.normal(size=3) * noise if again is None else 0.0)
+        latitude, longitude, altitude = map(float, pymap3d.enu2geodetic(*place, *DATUM))
+        stamp = START + round(seconds * NANOSECONDS) + 1
+        fix = GnssFix(stamp, 'gps', latitude, longitude, altitude, FixStatus.GBAS)
+        try:
+            judged = self.gate.fix(fix, np.eye(3) * SIGMA**2)
+        except MeasurementError as error:
+            self.refused[number] = error.reason
+            return
+        self.used[number] = judged
+        if judged.doubtful:
+            self.doubtful.add(number)
+        refuted = self.gate.refuted
+        if refuted:
+            stamps = {
+                START + round(i * seconds / max(number, 1) * NANOSECONDS) + 1: i for i in self.used
+            }
+            self.gone |= {stamps[one] for one in refuted}
+            self.gate.refound()
+
+    def rules(self):
+        return {finding.rule for finding in self.gate.findings()}
+
+
+def driven(count, period, off, **kwargs):
+    drive = Drive(**kwargs)
+    for i in range(count):
+        drive.fix(i, i * period, np.asarray(off(i), dtype=float))
+    return drive
+
+
+def off_datum(drive):
+    """How far the datum is from the first right antenna position, across the way, metres."""
+    datum = drive.gate.datum
+    east, north, up = pymap3d.geodetic2enu(datum.latitude, datum.longitude, datum.altitude, *DATUM)
+    return np.hypot(-np.sin(HEADING) * east + np.cos(HEADING) * north, up)
+
+
+@pytest.mark.parametrize('method', OdometryMethod)
+@pytest.mark.parametrize(('count', 'period'), [(60, 0.1), (60, 1.0), (2, 1.0), (300, 0.05)])
+def test_fixes_of_a_sound_receiver_are_all_used_around_the_first_one(count, period, method):
+    drive = driven(count, period, lambda i: [0, 0, 0], method=method)
+    assert sorted(drive.used) == list(range(count))
+    assert not drive.doubtful and not drive.gate.findings() and drive.gate.too_certain() is None
+    assert drive.used[0].enu == pytest.approx(np.zeros(3), abs=1e-6)
+
+
+@pytest.mark.parametrize('period', [0.1, 1.0])
+@pytest.mark.parametrize('wrong', [1, 2])
+def test_first_fixes_of_another_place_leave_the_graph(wrong, period):
+    drive = driven(8, period, lambda i: [-9e4, 8e4, 0] if i < wrong else [0, 0, 0])
+    assert drive.gone == set(range(wrong))
+    assert drive.rules() == {'datum_outlier'}
+    assert off_datum(drive) < 0.2
+    assert 7 not in drive.doubtful
+
+
+@pytest.mark.parametrize('period', [0.1, 1.0])
+def test_single_jumps_are_refused(period):
+    drive = driven(40, period, lambda i: [9000, 4000, 0] if i in (10, 25) else [0, 0, 0])
+    assert drive.refused == {10: 'gnss_jump', 25: 'gnss_jump'}
+    assert drive.rules() == {'gnss_jump'} and off_datum(drive) < 0.2
+
+
+@given(
+    st.sampled_from([0.1, 0.5, 1.0]),
+    st.lists(st.tuples(*[st.floats(15, 500)] * 2), min_size=1, max_size=6),
+)
+@settings(max_examples=25, deadline=None)
+def test_jumps_cost_the_jumps_only(period, jumps):
+    wrong = {9 + 4 * k: [east, -north, 0.0] for k, (east, north) in enumerate(jumps)}
+    drive = driven(45, period, lambda i: wrong.get(i, [0, 0, 0]))
+    # Jumps by about the same agree with each other: they are no jumps any more, but a step.
+    assert set(drive.refused) <= set(wrong)
+    for number, judged in drive.used.items():
+        assert not judged.doubtful
+        assert judged.enu == pytest.approx(drive.used[0].enu + _way(number, period), abs=2.5)
+
+
+def _way(number, period):
+    return np.array([np.cos(HEADING), np.sin(HEADING), 0.0]) * SPEED * number * period
+
+
+@pytest.mark.parametrize('period', [0.1, 1.0])
+@pytest.mark.parametrize(('half', 'kept'), [(30, 0.0), (15, 100.0)])
+def test_fixes_after_a_step_of_the_datum_are_moved_back_and_the_larger_part_tells_it(
+    half, kept, period
+):
+    drive = driven(60, period, lambda i: [60, 80, 0] if i >= half + 1 else [0, 0, 0])
+    assert set(drive.refused) == set(range(half + 1, half + 5))
+    assert drive.rules() == {'gnss_jump', 'datum_step'}
+    last = drive.used[59].enu - drive.used[0].enu
+    assert last == pytest.approx(_way(59, period), abs=0.5)
+    datum = drive.gate.datum
+    place = pymap3d.geodetic2enu(datum.latitude, datum.longitude, datum.altitude, *DATUM)
+    assert np.hypot(*place[:2]) == pytest.approx(kept, abs=0.5)
+
+
+@pytest.mark.parametrize('period', [0.1, 1.0])
+def test_heights_of_another_datum_are_moved_back_or_left_out(period):
+    drive = driven(40, period, lambda i: [0, 0, -31.0 if i % 2 else 0.0])
+    assert not drive.refused and drive.rules() == {'altitude_jump'}
+    for number, judged in drive.used.items():
+        assert abs(judged.enu[2]) < 0.3 or judged.covariance[2, 2] > 1e6
+        if number > 8:
+            assert judged.covariance[2, 2] == pytest.approx(SIGMA**2)
+
+
+def test_frozen_receiver_is_refused_while_the_car_moves_and_used_again_afterwards():
+    drive = Drive()
+    for i in range(40):
+        drive.fix(i, i * 0.5, np.zeros(3), again=5.0 if 10 < i < 25 else None, noise=0.0)
+    assert set(drive.refused) == set(range(11, 25))
+    assert set(drive.refused.values()) == {'frozen_fix'} and drive.rules() == {'frozen_fix'}
+
+
+def test_receiver_that_repeats_itself_while_the_car_stands_is_right():
+    drive = Drive(speed=0.0)
+    for i in range(100):
+        drive.fix(i, i * 1.0, np.zeros(3), noise=0.0)
+    assert not drive.refused and not drive.gate.findings()
+
+
+@pytest.mark.parametrize('period', [0.1, 1.0])
+def test_receiver_that_converges_is_believed_once_it_has(period):
+    slow = 8.0 if period < 1.0 else 4.0
+    drive = driven(80, period, lambda i: np.array([30, -20, 5]) * np.exp(-i / slow))
+    assert {0, 1, 2} <= drive.gone
+    # What is left is what a car may do unseen from one fix to the next.
+    assert off_datum(drive) < (2.5 if period < 1.0 else 5.0)
+    assert 79 in drive.used and not drive.used[79].doubtful
+    assert drive.rules() >= {'datum_outlier'}
+
+
+def test_covariances_that_are_far_too_small_are_found_out():
+    rng = np.random.default_rng(4)
+    offs = rng.normal(size=(40, 3)) * 2.5
+    found = None
+    drive = Drive()
+    for i in range(40):
+        drive.fix(i, i * 1.0, offs[i])
+        found = found or drive.gate.too_certain()
+    assert found is not None and found.rule == 'optimistic_covariance'
+    assert found.settings['fixes']['min_sigma'] == pytest.approx(2.5, abs=1.3)
+
+
+def test_converging_and_stepping_receivers_do_not_scatter():
+    for off in (
+        lambda i: np.array([30, -20, 5]) * np.exp(-i / 8.0),
+        lambda i: np.array([60, 80, 0]) * (i > 12),
+        lambda i: np.array([60, 80, 0]) * (i % 2),
+    ):
+        for period in (0.1, 1.0):
+            drive = Drive()
+            for i in range(40):
+                drive.fix(i, i * period, off(i))
+                assert drive.gate.too_certain() is None
+
+
+def test_matcher_that_reads_hardly_any_motion_does_not_make_sound_fixes_jumps():
+    drive = Drive(method=OdometryMethod.KISS_ICP)
+    drive.way = lambda seconds: 0.8 * seconds**2  # what fixes see
+    true = drive.way
+    scan = drive.scan
+
+    def blind():
+        drive.way = lambda seconds: 0.3 * true(seconds)
+        scan()
+        drive.way = true
+
+    drive.scan = blind
+    for i in range(10):
+        drive.fix(i, float(i), np.zeros(3))
+    assert not drive.refused and not drive.doubtful and not drive.gate.findings()
+
+
+def test_fixes_without_any_odometry_are_used():
+    drive = Drive()
+    drive.scan = lambda: setattr(drive, 'scans', drive.scans + 1)
+    for i in range(20):
+        drive.fix(i, i * 1.0, np.zeros(3))
+    assert not drive.refused
