@@ -27,9 +27,8 @@ class Watch:
         self.fit = FitWatch(config)
         self.mend: Tree = {}
         self._imu = ImuWatch(config)
-        return ranked(
-            [*self._findings, *self._of_fixes(), *self.fit.found, *self._presence.so_far()]
-        )
+        self._gate: FixGate | None = None
+        self._presence = PresenceWatch()
 
     def measurement(self, measurement: Measurement) -> None:
         """Look at a measurement as it comes in."""
@@ -80,9 +79,7 @@ class Watch:
         Args:
             judged: What ``judge_map`` found, in place of what was found while the map grew.
         """
-        return ranked(
-            [*self._findings, *self._of_fixes(), *judged, *self._presence.findings()]
-        )
+        return ranked([*self._findings, *self._of_fixes(), *judged, *self._presence.findings()])
 
     def _of_fixes(self) -> tuple[Finding, ...]:
         return () if self._gate is None else self._gate.findings()
