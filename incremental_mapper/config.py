@@ -27,12 +27,13 @@ MOST_OFFSET = 2.0**32
 
 
 class Strategy(StrEnum):
-    """Which candidate a window keeps (paper, section Experimental Setup)."""
+    """Which candidate a window keeps (paper, section Experimental Setup; ``fewest`` is ours)."""
 
     MOM = 'mom'
     BASE = 'base'
     MIN_TIME_SHIFT = 'min_time_shift'
     MIN_SOLVER_ERROR = 'min_solver_error'
+    FEWEST = 'fewest'
 
 
 class OdometryMethod(StrEnum):
@@ -231,7 +232,7 @@ class SelectionSettings(Section):
     """How candidates are enumerated and scored."""
 
     strategy: str = Strategy.MOM.value
-    """mom, base, min_time_shift, min_solver_error, or a name that was registered."""
+    """mom, base, min_time_shift, min_solver_error, fewest, or a name that was registered."""
     max_candidates: int = Field(default=1000, ge=1, le=1_000_000)
     """A window with more candidates than this is searched instead of enumerated."""
     beam_width: int = Field(default=8, ge=1, le=1000)

@@ -91,6 +91,8 @@ def _solver_error(proposal: Proposal) -> float:
 
 TIME_SHIFT = ByFunction('time_shift', _time_shift)
 """Total time shift in seconds (paper, Minimum Time Shift)."""
+VERTICES = ByFunction('vertices', lambda item: item.candidate.vertices + 1e-3 * _time_shift(item))
+"""Number of variables; where it is the same, the total time shift in thousands of seconds."""
 SOLVER_ERROR = ByFunction('solver_error', _solver_error)
 """Squared Mahalanobis norm of the candidate's factors (paper, Minimum Solver Error)."""
 

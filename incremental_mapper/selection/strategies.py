@@ -1,8 +1,8 @@
 """The strategies, and how they are found: a strategy is a criterion plus a search.
 
-Those of the paper are here. Others come in by the entry-point group
-``incremental_mapper.strategies`` of any installed package: each entry names a ``Strategy`` under
-the name that ``selection.strategy`` asks for.
+Those of the paper are here, and ``fewest``, the baseline that any metric must beat. Others come in
+by the entry-point group ``incremental_mapper.strategies`` of any installed package: each entry
+names a ``Strategy`` under the name that ``selection.strategy`` asks for.
 """
 
 from functools import cache
@@ -13,8 +13,8 @@ from incremental_mapper.config import Strategy as Name
 from incremental_mapper.errors import ConfigError
 from incremental_mapper.scoring.criteria import SOLVER_ERROR
 from incremental_mapper.selection.base_graph import BaseGraph
+from incremental_mapper.selection.cheapest import FewestVertices, LeastTimeShift
 from incremental_mapper.selection.choice import Choice
-from incremental_mapper.selection.least_time_shift import LeastTimeShift
 from incremental_mapper.selection.lowest_score import LowestScore, lowest_mom
 from incremental_mapper.selection.window_problem import WindowProblem
 
@@ -44,6 +44,7 @@ BUILT_IN: dict[str, Strategy] = {
     Name.BASE: BaseGraph(),
     Name.MIN_TIME_SHIFT: LeastTimeShift(),
     Name.MIN_SOLVER_ERROR: LowestScore(lambda *_: SOLVER_ERROR),
+    Name.FEWEST: FewestVertices(),
 }
 
 
@@ -51,7 +52,7 @@ def find_strategy(name: str) -> Strategy:
     """The strategy of a name.
 
     Args:
-        name: One of the paper's four, or that of an entry point.
+        name: One of the built-in ones, or that of an entry point.
 
     Returns:
         The strategy; the same object for the same name.
@@ -67,7 +68,7 @@ def strategy_names() -> list[str]:
     """The strategies that are installed.
 
     Returns:
-        Their names, the paper's four first.
+        Their names, the built-in ones first.
     """
     others = {entry.name for entry in entry_points(group=GROUP)} - set(BUILT_IN)
     return [*map(str, BUILT_IN), *sorted(others)]

@@ -9,7 +9,7 @@ from window_cases import imu_at, windows
 from incremental_mapper.candidates.enumeration import candidates, upper_bound
 from incremental_mapper.candidates.model import CoreKind, CoreMeasurement
 from incremental_mapper.candidates.partitions import group_elements
-from incremental_mapper.candidates.time_shift_search import by_time_shift
+from incremental_mapper.candidates.time_shift_search import by_time_shift, by_vertices
 
 
 @settings(deadline=None, max_examples=120)
@@ -31,6 +31,17 @@ def test_cut_search_holds_the_least_shifted_candidates(window, wanted):
     first = [item.time_shift for item in islice(by_time_shift(elements, head, imu), wanted)]
     every = sorted(item.time_shift for item in candidates(elements, head, imu))
     assert first == every[:wanted]
+
+
+@settings(deadline=None, max_examples=120)
+@given(windows())
+def test_search_by_size_yields_the_enumeration_once_each_the_smallest_first(window):
+    elements, head, imu = window
+    searched = list(by_vertices(elements, head, imu))
+    assert len(searched) == len(set(searched))
+    assert set(searched) == set(candidates(elements, head, imu))
+    sizes = [(item.vertices, item.time_shift) for item in searched]
+    assert sizes == sorted(sizes)
 
 
 def test_first_candidates_of_a_huge_window_come_without_enumerating_it():

@@ -13,8 +13,8 @@ from incremental_mapper.mapping.base_count import BaseCount
 from incremental_mapper.mapping.commit import commit
 from incremental_mapper.mapping.statistics import Totals, map_statistics, window_row
 from incremental_mapper.scoring.verification import Verification
+from incremental_mapper.selection.cheapest import LeastTimeShift
 from incremental_mapper.selection.choice import Choice
-from incremental_mapper.selection.least_time_shift import LeastTimeShift
 
 WINDOW = {40 * MS: {'left'}, 62 * MS: {'gps'}, 97 * MS: {'right'}, 140 * MS: {'left'}}
 CORE = [

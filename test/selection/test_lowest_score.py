@@ -8,7 +8,7 @@ from turning_car import settings as car_settings
 from incremental_mapper.candidates.enumeration import base_candidate, candidates
 from incremental_mapper.candidates.local_moves import neighbours
 from incremental_mapper.selection import lowest_score
-from incremental_mapper.selection.least_time_shift import LeastTimeShift
+from incremental_mapper.selection.cheapest import LeastTimeShift
 from incremental_mapper.selection.lowest_score import LowestScore
 from incremental_mapper.variables import pose_key
 

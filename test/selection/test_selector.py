@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from turning_car import MS, imu_series, problem_of
+from turning_car import MS, imu_series, problem_of, settings
 
 from incremental_mapper.candidates.enumeration import candidates
-from incremental_mapper.selection.least_time_shift import LeastTimeShift
+from incremental_mapper.selection.cheapest import FewestVertices, LeastTimeShift
 from incremental_mapper.selection.lowest_score import LowestScore
 from incremental_mapper.selection.selector import best_index, connected_candidates
 
@@ -152,3 +152,19 @@ def test_merging_is_the_last_resort_while_the_velocity_is_unknown():
     assert connected_candidates(careful, only).eligible == [
         item for item in only if not careful.unconnected(item)
     ]
+
+
+@pytest.mark.parametrize('most', [1, 1000])
+@pytest.mark.parametrize(
+    ('strategy', 'cost'),
+    [
+        (LeastTimeShift(), lambda item: item.time_shift),
+        (FewestVertices(), lambda item: (item.vertices, item.time_shift)),
+    ],
+)
+def test_cheapest_connected_candidate_wins_enumerated_or_searched(strategy, cost, most):
+    problem = problem_of(WINDOW, config=settings(selection={'max_candidates': most}))
+    connected = [item for item in all_candidates(problem) if not problem.unconnected(item)]
+    found = strategy.select(problem)
+    assert cost(found.winner) == min(map(cost, connected))
+    assert not found.cut and found.solved == 0

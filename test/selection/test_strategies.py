@@ -40,11 +40,12 @@ def installed(tmp_path, monkeypatch):
     return install
 
 
-def test_the_four_of_the_paper_are_there_without_any_installation():
+def test_the_built_in_ones_are_there_without_any_installation():
     assert set(BUILT_IN) == set(Strategy)
     for name in Strategy:
         assert find_strategy(name) is find_strategy(str(name))
-    assert strategy_names()[:4] == ['mom', 'base', 'min_time_shift', 'min_solver_error']
+    names = ['mom', 'base', 'min_time_shift', 'min_solver_error', 'fewest']
+    assert strategy_names()[:5] == names
 
 
 def test_entry_point_of_another_package_is_found_by_its_name(installed):
