@@ -16,8 +16,11 @@ from incremental_mapper.scoring.mom import (
     QueryPoints,
     choose_query_points,
     direct_score,
+    direct_variances,
     fast_scores,
+    fast_variances,
 )
+from incremental_mapper.scoring.ties import ties
 
 
 def _no_scans() -> NDArray[np.float64]:
@@ -129,6 +132,28 @@ class Mom:
             return [direct_score(points, pose, local_map, settings) for pose in poses]
         found = fast_scores(points, np.array(poses), local_map, settings, self.exact)
         return [float(score) for score in found]
+
+    def ties(
+        self, proposals: Sequence[Proposal], best: int, confidence: float
+    ) -> NDArray[np.bool_]:
+        """Tell which candidates cannot be told from the best, see ``scoring.ties``.
+
+        Args:
+            proposals: Candidates with finite scores (C).
+            best: Index of the one with the lowest.
+            confidence: At which a difference counts.
+
+        Returns:
+            Whether each ties with the best (C,).
+        """
+        poses = [proposal.poses for proposal in proposals]
+        points, local_map, settings = self.query_points, self.local_map, self.settings
+        if self.direct:
+            each = [direct_variances(points, pose, local_map, settings) for pose in poses]
+            variances = np.array(each)
+        else:
+            variances = fast_variances(points, np.array(poses), local_map, settings, self.exact)
+        return ties(variances, best, points.weights, points.planes, confidence)
 
 
 def mom_criterion(

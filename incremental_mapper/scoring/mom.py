@@ -27,6 +27,7 @@ from incremental_mapper.scoring.neighbourhoods import (
     shared_neighbourhoods,
 )
 from incremental_mapper.scoring.plane_families import orthogonal_families, spread_positions
+from incremental_mapper.scoring.ties import planes_of
 
 PLANE_VARIANCE = 'plane_variance'
 BATCH = 32
@@ -61,7 +62,7 @@ class QueryPoints:
     under any candidate that drifts by no more than ``reach`` (P, 1 + S) metres, but for the
     pairs at the ``boundary``; ``grid`` gives those for any other reach. ``weights`` (P,) make the
     mean over families of the mean in each; ``families`` are those that count, and ``family`` (P,)
-    is 0, 1 or 2.
+    is 0, 1 or 2. ``planes`` (P,) numbers the planes that the points lie in.
     """
 
     points: NDArray[np.float64]
@@ -73,6 +74,7 @@ class QueryPoints:
     family: NDArray[np.int64]
     families: tuple[int, ...]
     weights: NDArray[np.float64]
+    planes: NDArray[np.int64]
     score_name: str
 
 
@@ -115,6 +117,7 @@ def choose_query_points(local_map: LocalMap, settings: MomSettings) -> QueryPoin
         family=labels,
         families=counted,
         weights=1.0 / (np.bincount(labels)[labels] * len(counted)),
+        planes=planes_of(queries, labels, families.axes, settings.radius),
         score_name=name,
     )
 
@@ -159,11 +162,28 @@ def fast_scores(
     keep what neighbours they had there. A candidate with poses that are not finite has the score
     NaN.
     """
-    scores = np.empty(len(poses))
+    variances = fast_variances(query_points, poses, local_map, settings, exact)
+    # In the batches in which they came, so that the last bit does not depend on how many there are.
+    parts = [
+        variances[start : start + BATCH] @ query_points.weights
+        for start in range(0, len(poses), BATCH)
+    ]
+    return np.concatenate(parts) if parts else np.empty(0)
+
+
+def fast_variances(
+    query_points: QueryPoints,
+    poses: NDArray[np.float64],
+    local_map: LocalMap,
+    settings: MomSettings,
+    exact: bool = True,
+) -> NDArray[np.float64]:
+    """Plane variances in m^2 (C, P) of which ``fast_scores`` are the weighted means."""
+    variances = np.empty((len(poses), len(query_points.points)))
     for start in range(0, len(poses), BATCH):
         some = poses[start : start + BATCH]
         motions, finite = _motions(local_map, some), np.isfinite(some).all(axis=(1, 2, 3))
-        values, near = _moved_scores(query_points, motions, settings, exact)
+        values, near = _moved_variances(query_points, motions, settings, exact)
         far = np.flatnonzero(~near & finite & exact)
         if len(far):
             # The same query points with a longer reach are ready sooner than any search.
@@ -171,20 +191,20 @@ def fast_scores(
                 motions[far], query_points.points, query_points.scan, query_points.grid, settings
             )
             longer = replace(query_points, reach=reach, boundary=boundary)
-            values[far], near = _moved_scores(longer, motions[far], settings)
+            values[far], near = _moved_variances(longer, motions[far], settings)
             for further in far[~near]:
-                values[further] = direct_score(query_points, some[further], local_map, settings)
-        scores[start : start + BATCH] = values
-    return scores
+                values[further] = direct_variances(query_points, some[further], local_map, settings)
+        variances[start : start + BATCH] = values
+    return variances
 
 
-def _moved_scores(
+def _moved_variances(
     query_points: QueryPoints,
     motions: NDArray[np.float64],
     settings: MomSettings,
     exact: bool = True,
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Scores (C,) of candidates (C, 1 + S, 4, 4), and which of them are within reach."""
+    """Variances (C, P) of candidates (C, 1 + S, 4, 4), and which of them are within reach."""
     spread, near = moved_covariances(
         motions,
         query_points.points,
@@ -194,8 +214,7 @@ def _moved_scores(
         query_points.reach if exact else np.full_like(query_points.reach, np.inf),
         settings.radius,
     )
-    variances = smallest_eigen(spread.reshape(6, -1)).values.reshape(len(motions), -1)
-    return variances @ query_points.weights, near
+    return smallest_eigen(spread.reshape(6, -1)).values.reshape(len(motions), -1), near
 
 
 def fast_score(
@@ -215,6 +234,17 @@ def direct_score(
     settings: MomSettings,
 ) -> float:
     """The same value with the neighbourhoods searched again at ``poses`` (S, 4, 4)."""
+    variances = direct_variances(query_points, poses, local_map, settings)
+    return float(variances @ query_points.weights)
+
+
+def direct_variances(
+    query_points: QueryPoints,
+    poses: NDArray[np.float64],
+    local_map: LocalMap,
+    settings: MomSettings,
+) -> NDArray[np.float64]:
+    """Plane variances (P,) with the neighbourhoods searched again at ``poses`` (S, 4, 4), m^2."""
     points = _place(local_map, poses)
     motions = _motions(local_map, poses[None])[0][query_points.scan]
     queries = np.einsum('pij,pj->pi', motions[:, :3, :3], query_points.points) + motions[:, :3, 3]
@@ -225,7 +255,8 @@ def direct_score(
     columns = np.concatenate([np.asarray(near, dtype=np.int64) for near in found])
     numbers = sum_products(rows, columns, points.T, len(found))
     variances = np.linalg.eigvalsh(full_matrices(covariances(numbers)))[:, 0]
-    return float(np.maximum(variances, 0.0) @ query_points.weights)
+    positive: NDArray[np.float64] = np.maximum(variances, 0.0)
+    return positive
 
 
 def _place(local_map: LocalMap, poses: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -10,12 +10,16 @@ from incremental_mapper.smoothing.gauss_newton import Solved
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tried:
-    """One candidate that was looked at; what it did not get, such as a score, is None."""
+    """One candidate that was looked at; what it did not get, such as a score, is None.
+
+    ``tied`` says whether its score could not be told from the lowest, None where nobody asked.
+    """
 
     candidate: Candidate
     connected: bool
     score: float | None = None
     solver_error: float | None = None
+    tied: bool | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,6 +40,9 @@ class Choice:
         extra: Factors beside the winner's own, which hold what it leaves unconnected.
         consecutive: Whether the next window connects from the newest cluster, whatever it has.
         verification: Fast against direct MOM, where that was asked for.
+        tied: Candidates whose scores could not be told from the lowest, that one included; 0 where
+            nobody asked.
+        saved: Vertices that the winner has less than the candidate with the lowest score.
     """
 
     winner: Candidate | None
@@ -51,3 +58,5 @@ class Choice:
     extra: tuple[Factor, ...] = ()
     consecutive: bool = False
     verification: Verification | None = None
+    tied: int = 0
+    saved: int = 0

@@ -10,6 +10,7 @@ from functools import partial
 from itertools import islice
 
 import numpy as np
+from scipy.stats import chi2
 
 from incremental_mapper.candidates.enumeration import base_candidate
 from incremental_mapper.candidates.local_moves import neighbours
@@ -17,6 +18,7 @@ from incremental_mapper.candidates.model import Candidate
 from incremental_mapper.candidates.time_shift_search import by_time_shift
 from incremental_mapper.scoring import mom
 from incremental_mapper.scoring.criteria import ByFunction, Criterion, Mom, Proposal, mom_criterion
+from incremental_mapper.scoring.ties import agrees
 from incremental_mapper.scoring.verification import verify
 from incremental_mapper.selection.beam_search import MakeCriterion, beam_search
 from incremental_mapper.selection.choice import Choice, Tried
@@ -123,15 +125,23 @@ class _Selection:
         if self._settings.verify and isinstance(criterion, Mom):
             verification = verify(criterion, self._proposals, clock.seconds.get('score', 0.0))
             clock.lap('verify')
-        judged = {
-            id(proposal.candidate): (score, proposal.solver_error)
-            for proposal, score in zip(self._proposals, self._scores, strict=True)
-        }
         best = self._best(self._scores)
-        winner, solution = None, None
-        if best is not None:
+        tied = self._tied(criterion, best)
+        judged = {
+            id(proposal.candidate): (
+                self._scores[i],
+                proposal.solver_error,
+                None if tied is None else tied[i],
+            )
+            for i, proposal in enumerate(self._proposals)
+        }
+        lowest, best = best, self._smallest(best, tied)
+        clock.lap('score')
+        winner, solution, saved = None, None, 0
+        if best is not None and lowest is not None:
             winner = self._proposals[best].candidate
             solution = self._solver.refine(winner, self._solved[best])
+            saved = self._proposals[lowest].candidate.vertices - winner.vertices
         clock.lap('solve')
         return Choice(
             winner=winner,
@@ -143,11 +153,13 @@ class _Selection:
             cut=cut,
             seconds=clock.seconds,
             tried=tuple(
-                Tried(item, id(item) in connected, *judged.get(id(item), (None, None)))
+                Tried(item, id(item) in connected, *judged.get(id(item), (None, None, None)))
                 for item in looked
             ),
             solution=solution,
             verification=verification,
+            tied=sum(tied or []),
+            saved=saved,
         )
 
     def _candidates(self) -> tuple[list[Candidate], bool]:
@@ -182,6 +194,56 @@ class _Selection:
 
     def _best(self, scores: Sequence[float]) -> int | None:
         return best_index(scores, [proposal.candidate for proposal in self._proposals])
+
+    def _tied(self, criterion: Criterion, best: int | None) -> list[bool] | None:
+        """Which proposals cannot be told from the best; None where that is not asked."""
+        confidence = self._settings.tie_confidence
+        if best is None or confidence == 0.0 or not isinstance(criterion, Mom):
+            return None
+        return [bool(tied) for tied in criterion.ties(self._proposals, best, confidence)]
+
+    def _smallest(self, best: int | None, tied: list[bool] | None) -> int | None:
+        """Of those that tie with the best the smallest that is consistent with the others."""
+        if best is None or tied is None:
+            return best
+        even = [i for i, is_tied in enumerate(tied) if is_tied]
+        candidates = [self._proposals[i].candidate for i in even]
+        order = sorted(
+            zip(even, candidates, strict=True),
+            key=lambda pair: (pair[1].vertices, pair[1].time_shift, self._scores[pair[0]]),
+        )
+        least = min(even, key=lambda i: self._solved[i].cost)
+        for i, candidate in order:
+            if candidate.vertices >= self._proposals[best].candidate.vertices:
+                break
+            if self._consistent(i, least):
+                return i
+        return best
+
+    def _consistent(self, one: int, least: int) -> bool:
+        """Whether a proposal contradicts its factors no more than the least contradicted one.
+
+        And turns the scans no more than matching may be wrong: MOM does not see rotations (paper,
+        end of Evaluation Metric).
+        """
+        config = self._problem.config
+        confidence = config.selection.tie_confidence
+        costs = [self._solved[i].cost for i in (one, least)]
+        freedoms = [self._freedom(self._proposals[i].candidate) for i in (one, least)]
+        if not agrees(costs[0], freedoms[0], costs[1], freedoms[1], confidence):
+            return False
+        ours, theirs = (self._proposals[i].poses[:, :3, :3] for i in (one, least))
+        # A chord of the circle: for small angles the angle itself.
+        angles = np.linalg.norm(ours - theirs, axis=(1, 2)) / np.sqrt(2.0)
+        allowed = config.odometry.sigma_rotation * np.sqrt(chi2.ppf(confidence, 3))
+        return bool((angles <= allowed).all())
+
+    def _freedom(self, candidate: Candidate) -> int:
+        """Degrees of freedom: dimensions of the factors less those of the variables."""
+        factors = self._problem.factors.factors(candidate)
+        inertial = (candidate.vertices - len(candidate.clusters)) // 2
+        variables = 6 * len(candidate.clusters) + 9 * inertial
+        return sum(factor.factor.dim() for factor in factors) - variables
 
     def _change_decisions(self, criterion: Criterion) -> list[Candidate]:
         """Change single decisions of the best candidates until PATIENCE of them were in vain.
