@@ -78,9 +78,11 @@ def as_text(found: Inspection) -> str:
     if found.candidates:
         lines += [
             '',
-            '* the winner.  Clusters are split by |, their members joined by +.  A connection is '
-            'an IMU',
-            'span between two clusters, counted from 0; G is the last one of the graph so far.',
+            '* the winner, = ties with the lowest score.  Clusters are split by |, their members '
+            'joined by +.',
+            'A connection is an IMU span between two clusters, counted from 0; G is the last one '
+            'of the graph',
+            'so far.',
         ]
     return '\n'.join(lines)
 
@@ -115,7 +117,7 @@ def _table(rows: Sequence[Row]) -> list[str]:
     texts = {2, 3}
     cells = [
         (
-            '*' if row['winner'] else '',
+            '*' if row['winner'] else '=' * bool(row['tied']),
             str(row['candidate']),
             row['members'].replace('|', ' | '),
             links_text(row) or 'none',

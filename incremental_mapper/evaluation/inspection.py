@@ -104,6 +104,8 @@ def why(rows: Sequence[Row], cut: bool, strategy: str) -> list[str]:
     rivals = [row for row in scored if row is not winner]
     if not rivals:
         return [_alone(name, len(connected)), *_left_out(connected, scored, cut)]
+    if winner['tied'] and rivals[0]['score'] < winner['score']:
+        return [*_smallest(name, winner, scored), *_left_out(connected, scored, cut)]
     tied = [row for row in rivals if row['score'] == winner['score']]
     label = f'{winner["score_name"]} {winner["score"]:.6g}'
     if not tied:
@@ -117,6 +119,26 @@ def why(rows: Sequence[Row], cut: bool, strategy: str) -> list[str]:
     reasons = [f'{name} shares the lowest score ({label}) with candidate {numbers}.']
     reasons.append(_told_apart(winner, tied))
     return [*reasons, *_left_out(connected, scored, cut)]
+
+
+def _smallest(name: str, winner: Row, scored: Sequence[Row]) -> list[str]:
+    """Why a candidate won that has not the lowest score."""
+    lowest = min(scored, key=lambda row: float(row['score']))
+    tied = [row for row in scored if row['tied']]
+    smaller = [row for row in tied if row['vertices'] < winner['vertices']]
+    reasons = [
+        f'Candidate {lowest["candidate"]} has the lowest score ({lowest["score_name"]} '
+        f'{lowest["score"]:.6g}), but its lead is no more than chance over {len(tied) - 1} others: '
+        'they tie.',
+        f'{name} is the smallest of those that tie and agree with their measurements: '
+        f'{winner["vertices"]} vertices instead of {lowest["vertices"]}.',
+    ]
+    if smaller:
+        reasons.append(
+            f'{len(smaller)} that tie are smaller still, but contradict their measurements by more '
+            'than chance allows, or turn a scan.'
+        )
+    return reasons
 
 
 def _told_apart(winner: Row, tied: Sequence[Row]) -> str:

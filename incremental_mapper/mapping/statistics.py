@@ -39,6 +39,8 @@ class Totals:
     enumerated: int = 0
     connected: int = 0
     solved: int = 0
+    tied: int = 0
+    saved: int = 0
     scores: Counter[str] = field(default_factory=Counter)
     seconds: Counter[str] = field(default_factory=Counter)
     verifications: list[Verification] = field(default_factory=list)
@@ -61,6 +63,8 @@ class Totals:
         self.connected += choice.connected
         self.solved += choice.solved
         self.cut_windows += int(choice.cut)
+        self.tied += choice.tied
+        self.saved += choice.saved
         if choice.winner is None:
             self.carried_windows += 1
         else:
@@ -106,6 +110,8 @@ def window_row(
         else '',
         'score_name': choice.score_name if choice and winner else '',
         'score': choice.score if choice and winner else None,
+        'tied': choice.tied if choice else 0,
+        'saved_vertices': choice.saved if choice else 0,
         'time_shift_s': winner.time_shift / NANOSECONDS if winner else 0.0,
         'solver_error': solver_error,
     }
@@ -120,6 +126,8 @@ class MapStatistics:
 
     Counts of vertices and factors stand beside those of the base graph of the same measurements;
     compressions are 100 · (1 − count / base). ``score_names`` is the key ``selection.score``.
+    ``candidates_tied`` counts those whose score could not be told from their window's lowest, that
+    one included; ``vertices_saved_by_ties`` is what the smallest of them had less than that one.
     ``verification`` is left out where nothing was verified.
     """
 
@@ -142,6 +150,8 @@ class MapStatistics:
     candidates_enumerated: int
     candidates_connected: int
     candidates_solved: int
+    candidates_tied: int
+    vertices_saved_by_ties: int
     components: int
     carried_windows: int
     cut_windows: int
@@ -224,6 +234,8 @@ def map_statistics(
         candidates_enumerated=totals.enumerated,
         candidates_connected=totals.connected,
         candidates_solved=totals.solved,
+        candidates_tied=totals.tied,
+        vertices_saved_by_ties=totals.saved,
         components=state.components.n_subsets,
         carried_windows=totals.carried_windows,
         cut_windows=totals.cut_windows,

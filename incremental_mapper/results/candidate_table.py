@@ -25,7 +25,7 @@ Row: TypeAlias = dict[str, Any]
 
 FILE_NAME = 'candidates.parquet'
 ROWS_A_GROUP = 8192
-FORMAT = 1
+FORMAT = 2
 
 COLUMNS = {
     'window': 'index of the window in windows.csv',
@@ -43,7 +43,10 @@ COLUMNS = {
     'solved': 'whether it was solved; null errors and scores were never computed',
     'score': 'what the strategy judges by, the lowest wins; not comparable between windows',
     'score_name': 'which score that is: mom_3, mom_2, mom_1, plane_variance, time_shift, '
-    'solver_error, base, bridged, or a name of your own; empty where nothing was appended',
+    'solver_error, vertices, base, bridged, or a name of your own; empty where nothing was '
+    'appended',
+    'tied': 'whether its score cannot be told from the lowest (selection.tie_confidence); null '
+    'where that was not asked',
     'time_shift_s': 'total time shift in seconds',
     'solver_error': 'sum of the squared Mahalanobis norms of its factors',
 }
@@ -203,6 +206,7 @@ def _row(window: WindowResult, index: int, tried: Tried) -> Row:
         'solved': tried.solver_error is not None,
         'score': _finite(tried.score),
         'score_name': window.row['score_name'],
+        'tied': tried.tied,
         'time_shift_s': candidate.time_shift / NANOSECONDS,
         'solver_error': _finite(tried.solver_error),
     }
@@ -247,6 +251,7 @@ def _schema() -> 'pyarrow.Schema':
         'solved': pa.bool_(),
         'score': pa.float64(),
         'score_name': pa.string(),
+        'tied': pa.bool_(),
         'time_shift_s': pa.float64(),
         'solver_error': pa.float64(),
     }

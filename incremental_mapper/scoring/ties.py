@@ -59,11 +59,11 @@ def ties(
         Whether each candidate (C,) ties with the best, which always does.
     """
     count = int(planes.max()) + 1 if len(planes) else 0
-    tied = np.zeros(len(variances), dtype=bool)
+    sums = np.zeros((len(variances), count))
+    np.add.at(sums.T, planes, ((variances - variances[best]) * weights).T)
+    total = sums.sum(axis=1)
+    tied: NDArray[np.bool_] = total <= 0.0
     if count >= FEWEST_PLANES:
-        sums = np.zeros((len(variances), count))
-        np.add.at(sums.T, planes, ((variances - variances[best]) * weights).T)
-        total = sums.sum(axis=1)
         spread = ((sums - total[:, None] / count) ** 2).sum(axis=1)
         error = np.sqrt(spread * count / (count - 1))
         # Not finite are those without a map, which never win.

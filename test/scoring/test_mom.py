@@ -25,6 +25,7 @@ from incremental_mapper.scoring import mom
 from incremental_mapper.scoring.mom import (
     choose_query_points,
     direct_score,
+    direct_variances,
     fast_score,
     fast_scores,
 )
@@ -33,7 +34,7 @@ from incremental_mapper.scoring.neighbourhoods import BoundaryPairs
 
 def without_search():
     """Inside the block, a fast score that searches again is an error."""
-    return patch.object(mom, 'direct_score', side_effect=AssertionError('searched again'))
+    return patch.object(mom, 'direct_variances', side_effect=AssertionError('searched again'))
 
 
 @pytest.mark.parametrize('seed', range(3))
@@ -93,7 +94,7 @@ def test_candidate_that_was_not_foreseen_has_its_true_score(axis, metres, search
     query_points = choose_query_points(local_map, SETTINGS)
     stranger = moved(local_map, metres * np.array(axis))
     poses = np.stack([local_map.poses[1], stranger, local_map.poses[2]])
-    with patch.object(mom, 'direct_score', wraps=direct_score) as search:
+    with patch.object(mom, 'direct_variances', wraps=direct_variances) as search:
         fast = fast_scores(query_points, poses, local_map, SETTINGS)
     # Only what drifts by more than a neighbourhood is worth a search.
     assert search.call_count == searches
