@@ -89,7 +89,7 @@ def test_winner_has_the_lowest_score_or_is_smaller_and_ties_with_it(recorded):
             judged += 1
             (winner,) = (row for row in rows if row['winner'])
             scored = [row for row in rows if row['score'] is not None]
-            lowest = min(scored, key=lambda row: row['score'])
+            lowest = min(scored, key=lambda row: (row['score'], row['vertices']))
             assert lowest['tied'] and winner['tied']
             saved = lowest['vertices'] - winner['vertices']
             assert saved == window.row['saved_vertices']
