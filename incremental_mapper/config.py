@@ -240,10 +240,10 @@ class SelectionSettings(Section):
     time_budget: float = Field(default=0.4, gt=0.0, le=600.0)
     """Seconds that the search of one window may follow prefixes; half as many again may go into
     changing single decisions of the best candidates."""
-    tie_confidence: float = Field(default=0.95, ge=0.0, lt=1.0)
+    tie_confidence: float = Field(default=0.0, ge=0.0, lt=1.0)
     """Candidates of mom tie unless one is better at this confidence (paired over the query points);
     of those that tie the smallest graph wins whose factors and rotations agree as well. 0 takes the
-    lowest score, however small its lead (paper)."""
+    lowest score, however small its lead (paper); 0.95 is a good value."""
     direct: bool = False
     """Search the neighbourhoods again at every candidate's poses (slow, for verification)."""
     verify: bool = False

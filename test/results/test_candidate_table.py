@@ -19,7 +19,7 @@ from incremental_mapper.results.offline_run import effective_config, map_source
 from incremental_mapper.settings import make_config
 
 parquet = pytest.importorskip('pyarrow.parquet', reason='pyarrow is not installed (extra "report")')
-MOM = {'mom': {'max_points': 100}}
+MOM = {'mom': {'max_points': 100}, 'selection': {'tie_confidence': 0.95}}
 
 
 @pytest.fixture(scope='module')
@@ -98,6 +98,7 @@ def test_winner_has_the_lowest_score_or_is_smaller_and_ties_with_it(recorded):
             assert all(row['connected'] and row['solved'] for row in rows if row['winner'])
             assert {row['score_name'] for row in rows} == {window.row['score_name']}
     assert judged > 10
+    assert sum(window.row['saved_vertices'] for window in windows) > 10
 
 
 def test_file_describes_its_columns(recorded):
