@@ -17,7 +17,7 @@ class Pool:
 
     Attributes:
         eligible: Those that may win, in the order of their enumeration unless ``limited``.
-        found: How many of them there were before the limit.
+        found: How many connected ones there are, whether they may win or not.
         connected: The ``id`` of every connected candidate, whether it may win or not.
         limited: Whether load shedding left some out.
     """
@@ -53,11 +53,11 @@ def connected_candidates(problem: WindowProblem, looked: Sequence[Candidate]) ->
         if no other is connected.
     """
     eligible = [item for item in looked if not problem.unconnected(item)]
-    connected = set(map(id, eligible))
+    connected, found = set(map(id, eligible)), len(eligible)
     if not problem.may_merge:
         eligible = [item for item in eligible if not item.merges] or eligible
-    found, limit = len(eligible), problem.limit
-    limited = limit is not None and found > limit
+    limit = problem.limit
+    limited = limit is not None and len(eligible) > limit
     if limited:
         eligible = sorted(eligible, key=lambda item: item.time_shift)[:limit]
     return Pool(eligible, found, connected, limited)

@@ -190,7 +190,8 @@ def test_winner_is_told_where_the_search_was_cut(light_drive):
     tree = {
         'window': {'duration': 0.3},
         'selection': {'max_candidates': 10, 'strategy': 'min_solver_error'},
-    } | MOM
+        'mom': {'max_points': 100},
+    }
     seen = []
     map_source(source, make_config(tree | dict(source.info.settings), 'test'), observe=seen.append)
     assert any(window.row['cut'] for window in seen)
