@@ -52,7 +52,8 @@ LEANING = 1.0
 """... degrees of the vertical beyond the unharmed drive's, that a good map may have."""
 FEWEST = 0.6
 """Share of the unharmed map's points that a good one has at least."""
-FORKS = multiprocessing.get_context('fork')
+FORKS = multiprocessing.get_context('forkserver')
+FORKS.set_forkserver_preload([Path(__file__).stem])
 PATIENCE = 900.0
 """Seconds after which a run counts as hung."""
 SILENT, NOT_MENDED, FALSE, CRASH, FINE = (
@@ -110,12 +111,12 @@ def run_map(source: Path, out: Path, words: Sequence[str] = (), fresh: bool = Fa
     shutil.rmtree(out, ignore_errors=True)
     arguments = ['map', str(source), str(out), *words]
     started = time.perf_counter()
-    with tempfile.TemporaryFile('w+') as log:
+    with tempfile.NamedTemporaryFile('w+') as log:
         if fresh:
             command = [sys.executable, '-m', 'incremental_mapper.cli.main', *arguments]
             process: Any = subprocess.Popen(command, stdout=log, stderr=log)
         else:
-            process = FORKS.Process(target=_command, args=(arguments, log.fileno()))
+            process = FORKS.Process(target=_command, args=(arguments, log.name))
             process.start()
         status = _ended(process)
         log.seek(0)
@@ -141,10 +142,11 @@ def _ended(process: Any) -> int:
     return int(process.exitcode)
 
 
-def _command(arguments: Sequence[str], log: int) -> None:
-    """The command line, in a fork: its text goes to ``log``."""
-    os.dup2(log, 1)
-    os.dup2(log, 2)
+def _command(arguments: Sequence[str], log: str) -> None:
+    """The command line, in a fork: its text goes to the file ``log``."""
+    with Path(log).open('a') as file:
+        os.dup2(file.fileno(), 1)
+        os.dup2(file.fileno(), 2)
     sys.stdout = os.fdopen(1, 'w')
     sys.stderr = os.fdopen(2, 'w')
     sys.modules['matplotlib'] = None  # type: ignore[assignment]
