@@ -87,12 +87,6 @@ def exchanged_degrees(drive: Recording, folder: Path) -> Path:
     )
 
 
-@lie(MENDED, WARNED, REFUSED, about=GNSS, drive='curve')
-def mirrored_longitude(drive: Recording, folder: Path) -> Path:
-    """Longitude without its sign."""
-    return _fixes(drive, lambda _, m: replace(m, longitude=-m.longitude)).write(folder / 'bag')
-
-
 @lie(MENDED, WARNED, REFUSED, about=GNSS, drive='fixes')
 def minutes_as_degrees(drive: Recording, folder: Path) -> Path:
     """Degrees and minutes read as degrees."""
