@@ -23,6 +23,8 @@ _ALTERNATE = 0.35
 two LiDARs take turns. In all stretches of 12 to 24 clouds (560 of one LiDAR: KITTI, MulRan,
 simulated drives that stand, turn, speed up) it was 0.64 or more, mostly 0.9 to 1.8; of two LiDARs
 with a VLP-16's tilt between them 0.12 to 0.30."""
+_SHOWN = 40
+"""Characters of a frame_id that are shown; a broken message may have thousands."""
 _APART = 0.3
 """Metres by which mean and spread of two LiDARs' clouds differ at least; it was 4 to 6 m."""
 
@@ -100,7 +102,7 @@ def several_frames(topic: str, counts: Mapping[str, int]) -> Finding:
         topic: Where they come.
         counts: Number of clouds by frame_id.
     """
-    listed = ', '.join(f'{frame or "(none)"} {count}x' for frame, count in counts.items())
+    listed = ', '.join(f'{_short(frame)} {count}x' for frame, count in counts.items())
     return Finding(
         'several_frames',
         Severity.MENDED,
@@ -116,10 +118,18 @@ def other_frame(lidar: str, expected: str, frame: str, count: int) -> Finding:
         'other_frame',
         Severity.WARNING,
         lidar,
-        f'{count} clouds have the frame_id {frame!r} where the first had {expected!r}: two '
-        'LiDARs on one topic, or a frame that was renamed; they are used as if nothing had changed',
+        f'{count} clouds have the frame_id {_short(frame)!r} where others have '
+        f'{_short(expected)!r}: two LiDARs on one topic, or a frame that was renamed; they are '
+        'used as if nothing had changed',
         'give each LiDAR its own topic, and record again',
     )
+
+
+def _short(frame: str) -> str:
+    """A frame_id as a line has room for it."""
+    if len(frame) > _SHOWN:
+        frame = f'{frame[:_SHOWN]}...'
+    return frame or '(none)'
 
 
 def _directions(cloud: Points) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:

@@ -24,6 +24,7 @@ from incremental_mapper.datasets.extrinsics import find_extrinsics
 from incremental_mapper.datasets.first_look import (
     TopicLook,
     count_frames,
+    frames_of_sensors,
     look_at_clouds,
     look_at_frame,
 )
@@ -89,7 +90,9 @@ class BagSource:
                 if topic.type in CLOUDS and topic.count
             }
             counts = {
-                topic.name: look.frames if len(look.frames) < 2 else count_frames(reader, topic)
+                topic.name: look.frames
+                if len(look.frames) < 2
+                else frames_of_sensors(count_frames(reader, topic))
                 for topic in self._topics
                 if (look := looks.get(topic.name)) is not None
             }

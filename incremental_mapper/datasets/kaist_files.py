@@ -319,7 +319,20 @@ def _scan_files(name: str, sensors: Path, folder: str, drops: Drops) -> ScanFile
         stamps = read_table(listing, 0, name, drops).stamps
     if len(stamps) == 0:
         stamps = _stamps_of_files(name, sensors / folder, drops)
+    else:
+        _check_names(sensors / folder, listing, stamps)
     return ScanFiles(name, sensors / folder, stamps) if len(stamps) else None
+
+
+def _check_names(folder: Path, listing: Path, stamps: NDArray[np.int64]) -> None:
+    """Refuse a folder that has scans, but none under a name that its list tells."""
+    found = sorted(path.name for path in folder.glob('*.bin'))
+    if found and not any((folder / f'{stamp}.bin').exists() for stamp in stamps):
+        raise InputError(
+            f'{folder}: none of the {len(stamps)} scans that {listing.name} lists is there, such '
+            f'as {stamps[0]}.bin; what is there is named otherwise, such as {found[0]}; rename '
+            'each to its stamp in nanoseconds'
+        )
 
 
 def _stamps_of_files(name: str, folder: Path, drops: Drops) -> NDArray[np.int64]:

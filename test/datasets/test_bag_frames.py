@@ -131,6 +131,20 @@ def test_one_sensor_alone_needs_no_extrinsics(tmp_path):
     assert not said(open_source(write(tmp_path / 'bag', events), {}), 'extrinsics')
 
 
+@pytest.mark.parametrize('frame', ['', 'x' * 20_000])
+def test_stray_messages_of_another_frame_are_no_lidar(tmp_path, frame):
+    events = [
+        ('/points', framed(CLOUD, START + i * 100 * MS, frame if i in (2, 30) else 'lidar'))
+        for i in range(60)
+    ]
+    source = open_source(write(tmp_path / 'bag', events), {})
+    assert source.info.counts == {'points': 60}
+    assert not said(source, 'several_frames')
+    assert sum(1 for _ in source.measurements()) == 60
+    (found,) = (item for item in source.info.findings if item.rule == 'other_frame')
+    assert '2 clouds' in found.text and len(found.text) < 300
+
+
 def turns(count, frames, shift=4.0):
     """Clouds of two LiDARs by turns, and an IMU."""
     events = [('/imu', framed(IMU, START, 'imu'))]

@@ -172,6 +172,13 @@ def test_stamp_files_may_be_missing(folder):
     assert source.drops['left', 'bad_name'] == 1
 
 
+def test_scans_that_are_numbered_are_refused_with_the_names_that_are_looked_for(folder):
+    for number, path in enumerate(sorted((folder / 'sensor_data' / 'VLP_left').glob('*.bin'))):
+        path.rename(path.with_name(f'{number:06}.bin'))
+    with pytest.raises(InputError, match=rf'such as {START}\.bin.*such as 000000\.bin'):
+        KaistSource(folder)
+
+
 @pytest.mark.parametrize('name', ['LeftVLP', 'RightVLP', 'IMU', 'VRS'])
 def test_missing_calibration(folder, name):
     (folder / 'calibration' / f'Vehicle2{name}.txt').unlink()
