@@ -64,7 +64,6 @@ class ImuWatch:
         self._samples.append(sample)
         if len(self._samples) >= 2 * MOST_SAMPLES:
             del self._samples[:MOST_SAMPLES]
-        self._holes.pass_by(sample.stamp)
         if self._due is None:
             self._due = sample.stamp + round(self._span * NANOSECONDS)
         if sample.stamp < self._due:
@@ -74,6 +73,11 @@ class ImuWatch:
         self._span = later[0] if later else 3.0 * self._span
         self._due = start + round(self._span * NANOSECONDS)
         return self._look_at_gravity()
+
+    def used(self, samples: Sequence[ImuSample]) -> None:
+        """Look for holes in the samples of a window: those that were not left out."""
+        for sample in samples:
+            self._holes.pass_by(sample.stamp)
 
     def matches(self, prepared: Sequence[Prepared]) -> Sequence[Finding]:
         """Keep the matches of a window; now and then hold the IMU against them."""
@@ -133,7 +137,7 @@ class ImuWatch:
         return [one for one in found if last or one.rule in AT_ONCE or _repeated(one, before)]
 
     def _look_at_holes(self) -> Sequence[Finding]:
-        if len(self._samples) < 2:
+        if self._holes.last == 0 or len(self._samples) < 2:
             return ()
         holes, last = self._holes, max((stamp for _, stamp, _ in self._matches), default=0)
         behind = max(last - holes.last, 0)

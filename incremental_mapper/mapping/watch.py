@@ -39,6 +39,7 @@ class Watch:
     def window(self, window: Window) -> None:
         """Look at what a closed window holds."""
         self._presence.window(window)
+        self._imu.used(window.imu)
 
     def prepared(self, prepared: Sequence[Prepared]) -> None:
         """Look at what the front end made of a window's core measurements."""

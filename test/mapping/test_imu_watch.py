@@ -8,8 +8,10 @@ import pytest
 from imu_rig import START, rates, samples, velocities
 
 from incremental_mapper.candidates.model import CoreKind, CoreMeasurement
+from incremental_mapper.config import Imu
 from incremental_mapper.frontend.lidar_odometry import PreparedScan
 from incremental_mapper.mapping import imu_watch
+from incremental_mapper.mapping.imu_intake import ImuIntake
 from incremental_mapper.mapping.imu_watch import ImuWatch
 from incremental_mapper.mapping.watch import Watch
 from incremental_mapper.measurements import ImuSample
@@ -44,6 +46,8 @@ def watched(stream, seconds=10.0, config=None):
         while matches and matches[0].core.stamp < sample.stamp - 500_000_000:
             found += watch.matches([matches.pop(0)])
         found += watch.sample(sample)
+    intake = ImuIntake(Imu(), 9.81)
+    watch.used([sample for sample in stream if intake.take(sample)])
     return [*found, *watch.matches(matches), *watch.end()]
 
 
@@ -72,6 +76,13 @@ def test_an_imu_that_falls_silent_is_told_of():
     found = watched(imu(2.0))
     assert [one.rule for one in found] == ['imu_holes']
     assert '8' in found[0].text
+
+
+def test_an_imu_that_freezes_is_told_of_as_one_that_falls_silent():
+    stream = imu()
+    frozen = [replace(stream[200], stamp=sample.stamp) for sample in stream[200:]]
+    found = watched([*stream[:200], *frozen])
+    assert 'imu_holes' in [one.rule for one in found]
 
 
 def test_switched_off_it_is_not_looked_at():
