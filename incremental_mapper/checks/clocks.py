@@ -244,8 +244,9 @@ def _offsets(group: _Group, reference: _Group, relative: bool) -> list[Finding]:
             what = ': they count from power-up' if young else ''
             how = f', aligned by {by}: exact but for the latency of its messages'
         line, tree = setting_line(clock, correction)
+        exact = own[0] if own is not None and not clock.offset else seconds
         text = (
-            f'stamps are {_seconds(abs(seconds))} s {"ahead of" if ahead > 0 else "behind"} those '
+            f'stamps are {_seconds(abs(exact))} s {"ahead of" if ahead > 0 else "behind"} those '
             f'of {listed(reference.names)} by {by}{what}'
         )
         mended = (steady or own is not None) and not clock.chosen
@@ -365,3 +366,22 @@ def _drift(lag: _Lag) -> float:
     grown = float(slope * times[-1])
     sure = abs(grown) > 10.0 * noise and abs(slope) < _MOST_DRIFT
     return grown if sure else 0.0
+
+
+def unstamped_finding(sensor: str, looked_at: int, replaced: bool) -> Finding:
+    """Say that a driver sets no header stamps.
+
+    Args:
+        sensor: whose messages they are.
+        looked_at: messages that were looked at; all have a stamp of zero.
+        replaced: whether record times stand in for the stamps.
+    """
+    if replaced:
+        text = (
+            f'all {looked_at} stamps that were looked at are zero; record times stand in for them'
+        )
+        remedy = 'right but for the latency of its messages; let its driver set header stamps'
+    else:
+        text = f'all {looked_at} stamps looked at are zero, and record times tell nothing'
+        remedy = 'it cannot be used; let its driver set header stamps, and record again'
+    return Finding('no_stamps', Severity.WARNING, sensor, text, remedy)

@@ -19,7 +19,7 @@ from incremental_mapper.config import Tree
 from incremental_mapper.datasets.bag_files import Topic, bag_files, open_bag
 from incremental_mapper.datasets.bag_recovery import BagReader
 from incremental_mapper.datasets.bag_samples import read_span, sample_bag
-from incremental_mapper.datasets.clock_look import ClockLook, check_clocks
+from incremental_mapper.datasets.clock_look import ClockLook, check_clocks, stamped
 from incremental_mapper.datasets.extrinsics import find_extrinsics
 from incremental_mapper.datasets.first_look import (
     TopicLook,
@@ -144,9 +144,15 @@ class BagSource:
                     for name, frame, look in lidars
                     if look.alternating
                 ),
+                *clock_look.findings,
                 *clocks.findings,
             ]
         self._offsets, self._apart = clocks.offsets, clocks.apart
+        self._restamped = {
+            topic
+            for topic, names in self._sensors.items()
+            if clock_look.restamped.issuperset(names.values())
+        }
         self._order_shifts = clock_look.order_shifts(clocks.offsets)
         self._gathered = {name for name, lidar in config.lidars.items() if lidar.sectors}
         self._gathered = (self._gathered | set(sectors)) & set(self._choice.lidars)
@@ -340,7 +346,7 @@ class BagSource:
         messages = self._in_turn(reader)
         while True:
             try:
-                connection, _, data = next(messages)
+                connection, logged, data = next(messages)
             except StopIteration:
                 break
             # On a damaged chunk the reader raises whatever it stumbles over, or skips it.
@@ -349,6 +355,8 @@ class BagSource:
                     reason = ' '.join(str(error).split()) or type(error).__name__
                     raise InputError(f'{self._path}: no message can be read ({reason})') from error
                 break
+            if connection.topic in self._restamped:
+                data = stamped(data, logged, hasattr(connection.owner, 'indexes'))
             yield connection, data
         self._drops.update({(name, 'damaged'): n for name, n in left.items() if n > 0})
 

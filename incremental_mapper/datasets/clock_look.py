@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from incremental_mapper.checks.clocks import clock_findings
+from incremental_mapper.checks.clocks import clock_findings, unstamped_finding
 from incremental_mapper.checks.finding import Finding, Severity
 from incremental_mapper.checks.sensor_clocks import NOT_LIDARS, SensorClock
 from incremental_mapper.config import Tree
@@ -26,6 +26,8 @@ AN_END = 3
 """First, and last, messages of each sensor that are read: one of them may be stray."""
 _IN_TURN = NANOSECONDS // 5
 """Nanoseconds by which messages may come out of turn: half of what a window waits for them."""
+_PASSES = 1_000_000
+"""Nanoseconds from message to message, at least, where record times are of a recording."""
 _ALL = 2000
 """Messages that are read of a bag without an index, from its beginning on."""
 
@@ -80,7 +82,7 @@ def check_clocks(
 
 
 class ClockLook:
-    """Reads headers of a bag's sensors; ``unstamped`` has those whose stamps are all zero.
+    """Reads headers of a bag's sensors; ``restamped`` are those that have record times for stamps.
 
     ``sensors`` are the topics' sensors by frame_id, None where the topic is one sensor's.
     """
@@ -91,8 +93,11 @@ class ClockLook:
         self._pairs: dict[str, list[tuple[int, int]]] = {}
         self._leads: dict[str, int] = {}
         self.times: dict[str, NDArray[np.int64]] = {}
-        self.unstamped: dict[str, int] = {}
+        self._bare: dict[str, list[int]] = {}  # record times of messages without a stamp
+        self.restamped: frozenset[str] = frozenset()
+        self.findings: tuple[Finding, ...] = ()
         self._look()
+        self._restamp()
 
     def clocks(self, offsets: Mapping[str, int], chosen: Sequence[str]) -> list[SensorClock]:
         """What was read, with the offsets (ns) added; ``chosen`` are sensors whose are set."""
@@ -127,6 +132,22 @@ class ClockLook:
             if abs(offsets[sensor]) > _IN_TURN and abs(lag) < _IN_TURN:
                 shifts[sensor] = offsets[sensor]
         return shifts
+
+    def _restamp(self) -> None:
+        """Let record times stand in where no message of a sensor has a stamp."""
+        bare = {name: times for name, times in self._bare.items() if name not in self._pairs}
+        # A converter that has no record times writes one, or zeros: nothing passes.
+        useful = {
+            name
+            for name, times in bare.items()
+            if min(times) > 0 and max(times) - min(times) > _PASSES * len(times)
+        }
+        self.restamped = frozenset(useful)
+        for name in useful:
+            self._pairs[name] = [(received, received) for received in bare[name]]
+        self.findings = tuple(
+            unstamped_finding(name, len(times), name in useful) for name, times in bare.items()
+        )
 
     def _look(self) -> None:
         self.times = record_times(self._reader, list(self._sensors))
@@ -170,7 +191,7 @@ class ClockLook:
             if sensor is None:
                 continue
             if stamp <= 0:
-                self.unstamped[sensor] = self.unstamped.get(sensor, 0) + 1
+                self._bare.setdefault(sensor, []).append(received)
                 continue
             self._pairs.setdefault(sensor, []).append((received, stamp))
             if sensor not in self._leads:
@@ -185,6 +206,13 @@ class ClockLook:
         except Exception:
             return 0
         return 0 if times is None else max(round(float(times.max()) * NANOSECONDS), 0)
+
+
+def stamped(data: bytes, stamp: int, ros1: bool) -> bytes:
+    """A message as it lies in a bag, with another header stamp (ns)."""
+    order = '<' if ros1 or data[1:2] in (b'\x01', b'\x03') else '>'
+    time = struct.pack(f'{order}iI', *divmod(stamp, NANOSECONDS))
+    return data[:4] + time + data[12:]
 
 
 def peek_header(data: bytes, ros1: bool) -> tuple[int, str]:

@@ -121,3 +121,21 @@ def test_measurements_of_a_mended_folder_take_their_turn(tmp_path):
     stamps = [m.stamp for m in source.measurements()]
     assert stamps == sorted(stamps) and stamps[0] == KAIST_START
     assert sum(source.drops.values()) == 2  # the fixes that are none
+
+
+@pytest.mark.parametrize('kind', KINDS)
+def test_record_times_stand_in_for_stamps_that_are_all_zero(tmp_path, kind):
+    bag = write(tmp_path, {}, zero=('/imu',), **KINDS[kind])
+    source = open_source(bag)
+    assert [f.sensor for f in source.info.findings if f.rule == 'no_stamps'] == ['imu']
+    stamps = [m.stamp for m in source.measurements() if m.sensor == 'imu']
+    assert stamps == [START + (5 + 10 * i) * MS for i in range(40)]
+    assert source.drops == {}
+
+
+def test_stamps_of_zero_without_record_times_are_told(tmp_path):
+    source = open_source(write(tmp_path, {}, logged_ahead=True, zero=('/imu',)))
+    (finding,) = [f for f in source.info.findings if f.rule == 'no_stamps']
+    assert 'record times tell nothing' in finding.text
+    assert {m.sensor for m in source.measurements()} == {'points_left', 'points_right', 'gnss'}
+    assert source.drops == {('imu', 'no_stamp'): 40}
