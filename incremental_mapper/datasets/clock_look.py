@@ -129,7 +129,8 @@ class ClockLook:
             return shifts  # without an index the file can be read from end to end only
         for sensor, pairs in self._pairs.items():
             lag = int(np.median([received - stamp for received, stamp in pairs]))
-            if abs(offsets[sensor]) > _IN_TURN and abs(lag) < _IN_TURN:
+            own = sensor not in self.restamped
+            if own and abs(offsets[sensor]) > _IN_TURN and abs(lag) < _IN_TURN:
                 shifts[sensor] = offsets[sensor]
         return shifts
 
