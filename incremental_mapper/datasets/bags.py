@@ -3,7 +3,7 @@
 import heapq
 import math
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -259,22 +259,26 @@ class BagSource:
         with self._open() as reader:
             return sample_bag(reader, plan, facts, self._sensor, self._converters(), self._offsets)
 
-    def scans(self, sensor: str, start: int, stop: int) -> Iterator[LidarScan]:
+    def scans(
+        self, sensor: str, bounds: Sequence[tuple[int, int]]
+    ) -> Iterator[tuple[int, LidarScan]]:
         """See ``Sampled``."""
         convert = self._converters()[sensor]
         topic = self._choice.topics[sensor].name
-        gatherer = SectorGatherer() if sensor in self._gathered else None
         with self._open() as reader:
-            for message in read_span(reader, topic, start, stop):
-                try:
-                    if self._sensor(topic, message) == sensor:
+            for number, (start, stop) in enumerate(bounds):
+                gatherer = SectorGatherer() if sensor in self._gathered else None
+                for message in read_span(reader, topic, start, stop):
+                    try:
+                        if self._sensor(topic, message) != sensor:
+                            continue
                         scan = convert(message)
                         assert isinstance(scan, LidarScan)
                         sweep = scan if gatherer is None else gatherer.take(scan)
-                        if sweep is not None:
-                            yield sweep
-                except (MeasurementError, AttributeError):
-                    continue
+                    except (MeasurementError, AttributeError):
+                        continue
+                    if sweep is not None:
+                        yield number, sweep
 
     def _origin(self, name: str) -> str:
         """Where a sensor's extrinsics come from, in words."""

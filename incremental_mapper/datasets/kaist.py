@@ -152,18 +152,21 @@ class KaistSource:
             maker.add(block, stamp, shifted, make)
         return maker.sample()
 
-    def scans(self, sensor: str, start: int, stop: int) -> Iterator[LidarScan]:
+    def scans(
+        self, sensor: str, bounds: Sequence[tuple[int, int]]
+    ) -> Iterator[tuple[int, LidarScan]]:
         """See ``Sampled``; the stamps of the files stand for the times of recording."""
         stream = self._recording.streams[sensor]
         offset = self._offsets[sensor]
-        for index in range(*np.searchsorted(stream.stamps, [start, stop])):
-            try:
-                stamp = int(stream.stamps[index]) + offset
-                scan = _measurement(stamp, sensor, stream.load(index))
-            except MeasurementError:
-                continue
-            assert isinstance(scan, LidarScan)
-            yield scan
+        for number, span in enumerate(bounds):
+            for index in range(*np.searchsorted(stream.stamps, span)):
+                try:
+                    stamp = int(stream.stamps[index]) + offset
+                    scan = _measurement(stamp, sensor, stream.load(index))
+                except MeasurementError:
+                    continue
+                assert isinstance(scan, LidarScan)
+                yield number, scan
 
     def truth(self) -> Trajectory | None:
         """The trajectory of ``global_pose.csv``, in the folder or in its ``sensor_data``."""

@@ -109,8 +109,13 @@ class Sampled(Protocol):
     def sample(self, plan: SamplePlan) -> tuple[SensorSample, ...]:
         """Read a sample of every sensor; what cannot be read says nothing."""
 
-    def scans(self, sensor: str, start: int, stop: int) -> Iterator[LidarScan]:
-        """Read the usable scans of a LiDAR that were recorded from ``start`` until ``stop``, ns."""
+    def scans(
+        self, sensor: str, bounds: Sequence[tuple[int, int]]
+    ) -> Iterator[tuple[int, LidarScan]]:
+        """Read the usable scans of a LiDAR that were recorded in some spans (start, stop), ns.
+
+        Each comes with the number of its span.
+        """
 
     def truth_place(self) -> str:
         """Where ``truth`` would be read from, '' where there is none; nothing is read."""

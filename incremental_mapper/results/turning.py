@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import islice
 
 import gtsam
 import numpy as np
@@ -100,20 +101,14 @@ def _matches(
 ) -> list[PreparedScan]:
     """Matches of at most so many scans, block by block."""
     found: list[PreparedScan] = []
-    left = count
-    for start, stop in blocks:
-        if left <= 0:
-            break
-        preparer = ScanPreparer(lidar, config, Counter())
-        for scan in source.scans(lidar, start, stop):
-            if left <= 0:
-                break
-            left -= 1
-            try:
-                prepared = preparer.prepare(scan)
-            except MeasurementError:
-                continue
-            if prepared.previous is not None:
-                found.append(prepared)
-    # Neighbouring spans first to last: nothing else is asked of their order.
+    preparer, block = ScanPreparer(lidar, config, Counter()), 0
+    for number, scan in islice(source.scans(lidar, blocks), count):
+        if number != block:
+            preparer, block = ScanPreparer(lidar, config, Counter()), number
+        try:
+            prepared = preparer.prepare(scan)
+        except MeasurementError:
+            continue
+        if prepared.previous is not None:
+            found.append(prepared)
     return sorted(found, key=lambda item: item.core.stamp)

@@ -110,3 +110,12 @@ def test_time_offsets_count(light_bag):
     }
     assert (moved['imu'].stamps - plain['imu'].stamps == 250 * MS).all()
     assert (moved['imu'].received == plain['imu'].received).all()
+
+
+def test_scans_of_some_spans(light_drive, light_bag):
+    for path in (light_drive, light_bag):
+        source = open_source(path)
+        every = [item.stamp for item in source.measurements() if item.sensor == 'left']
+        bounds = [(every[10], every[12]), (every[3], every[4] + 1)]
+        found = [(number, scan.stamp) for number, scan in source.scans('left', bounds)]
+        assert found == [(0, every[10]), (0, every[11]), (1, every[3]), (1, every[4])]
