@@ -115,12 +115,22 @@ class KaistSource:
 
     def sample(self, plan: SamplePlan) -> tuple[SensorSample, ...]:
         """Read a sample of every sensor; of other clouds only the names are known."""
-        streams = self._recording.streams
-        gnss = streams.get('gnss')
-        bounds = spans(*self._recording.span(), plan, None if gnss is None else gnss.stamps)
-        return tuple(self._sample(plan, name, bounds) for name in self._offsets)
+        stamps = {
+            name: self._recording.streams[name].stamps + offset
+            for name, offset in self._offsets.items()
+        }
+        ends = [(int(some[0]), int(some[-1])) for some in stamps.values() if len(some)]
+        begin, end = min(first for first, _ in ends), max(last for _, last in ends)
+        bounds = spans(begin, end, plan, stamps.get('gnss'))
+        return tuple(self._sample(plan, name, some, bounds) for name, some in stamps.items())
 
-    def _sample(self, plan: SamplePlan, sensor: str, bounds: list[tuple[int, int]]) -> SensorSample:
+    def _sample(
+        self,
+        plan: SamplePlan,
+        sensor: str,
+        stamps: NDArray[np.int64],
+        bounds: list[tuple[int, int]],
+    ) -> SensorSample:
         stream = self._recording.streams[sensor]
         lidars = [name for name in self._offsets if name in LIDARS]
         given = extrinsics_of(self._given, sensor, lidars) is not None
@@ -128,41 +138,38 @@ class KaistSource:
             clouds_of_each(bounds, plan),
             sensor=sensor,
             kind=_KINDS.get(sensor, SensorKind.LIDAR),
-            count=len(stream.stamps),
+            count=len(stamps),
             origin='the settings' if given else self._calibration,
-            recorded=stream.stamps,
+            recorded=stamps,
         )
-        offset = self._offsets[sensor]
         wanted = [
             (block, index)
             for block, (start, stop) in enumerate(bounds)
-            for index in range(*np.searchsorted(stream.stamps, [start, stop]))
+            for index in range(*np.searchsorted(stamps, [start, stop]))
         ]
         if sensor == 'gnss' and plan.fixes:
-            every = spread(np.arange(len(stream.stamps)), plan.fixes)
+            every = spread(np.arange(len(stamps)), plan.fixes)
             seen = {index for _, index in wanted}
             wanted += [(len(bounds) + n, i) for n, i in enumerate(every) if i not in seen]
         for block, index in wanted:
-            stamp = int(stream.stamps[index])
-            shifted = stamp + offset
+            stamp = int(stamps[index])
 
-            def make(shifted: int = shifted, index: int = index) -> Measurement:
-                return _measurement(shifted, sensor, stream.load(index))
+            def make(stamp: int = stamp, index: int = index) -> Measurement:
+                return _measurement(stamp, sensor, stream.load(index))
 
-            maker.add(block, stamp, shifted, make)
+            maker.add(block, stamp, stamp, make)
         return maker.sample()
 
     def scans(
         self, sensor: str, bounds: Sequence[tuple[int, int]]
     ) -> Iterator[tuple[int, LidarScan]]:
-        """See ``Sampled``; the stamps of the files stand for the times of recording."""
+        """See ``Sampled``; the stamps stand for the times of recording."""
         stream = self._recording.streams[sensor]
-        offset = self._offsets[sensor]
+        stamps = stream.stamps + self._offsets[sensor]
         for number, span in enumerate(bounds):
-            for index in range(*np.searchsorted(stream.stamps, span)):
+            for index in range(*np.searchsorted(stamps, span)):
                 try:
-                    stamp = int(stream.stamps[index]) + offset
-                    scan = _measurement(stamp, sensor, stream.load(index))
+                    scan = _measurement(int(stamps[index]), sensor, stream.load(index))
                 except MeasurementError:
                     continue
                 assert isinstance(scan, LidarScan)

@@ -69,7 +69,9 @@ def settings_text(survey: Survey, tree: Tree, where: str, path: Path) -> str:
         comments[choice.place] = f'as in {choice.file}: {choice.why}'
     places = merge(places, tree)
     comments |= dict.fromkeys(_places(tree), f'from {where}')
-    for found in survey.mended():
+    for found in survey.findings:
+        if not found.changes:
+            continue
         places = merge(places, found.settings)
         comments |= dict.fromkeys(_places(found.settings), f'{found.text} ({found.rule})')
     lines = [*(f'# {line}' for line in head), '/**:', f'{_INDENT}ros__parameters:']
@@ -112,16 +114,15 @@ def _sensors(survey: Survey) -> tuple[Tree, dict[str, str]]:
 
 def _section(survey: Survey, sample: SensorSample) -> Tree:
     """Topic, extrinsics and offset of a sensor, as they are in force."""
-    info, config, name = survey.info, survey.config, sample.sensor
+    info, name = survey.info, sample.sensor
     lidar = sample.kind is SensorKind.LIDAR
     owner = info.settings.get('lidars', {}) if lidar else info.settings
     own = owner.get(name, {})
-    known = {**config.lidars, 'imu': config.imu, 'gnss': config.gnss}.get(name)
     pose = own.get('T_base_sensor', (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0))
     return {
         'topic': sample.topic or TOPICS.get(name, ''),
         'T_base_sensor': [float(number) for number in pose],
-        'time_offset': 0.0 if known is None else known.time_offset,
+        'time_offset': survey.sensor(name).time_offset,
     }
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from incremental_mapper.checks.finding import Finding, ranked
 from incremental_mapper.checks.imu_motion import MotionEvidence
-from incremental_mapper.config import Config, Tree
+from incremental_mapper.config import Config, Sensor, Tree
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.datasets.sampling import (
     Sampled,
@@ -70,18 +70,27 @@ class Survey:
         return starting_point(self.shapes, max(rates, default=0.0))
 
     @cached_property
+    def suspicions(self) -> tuple[Finding, ...]:
+        """What the sample shows to be wrong, beyond what opening the input found."""
+        return ranked(suspicions(self.samples, self.config, self.motion))
+
+    @property
     def findings(self) -> tuple[Finding, ...]:
-        """What is wrong with the input, the worst first."""
-        return ranked([*self.info.findings, *suspicions(self.samples, self.config, self.motion)])
+        """All that is wrong with the input, the worst first."""
+        return ranked([*self.info.findings, *self.suspicions])
 
     def pose(self, sensor: str) -> NDArray[np.float64]:
         """T_base_sensor (4, 4) in force."""
+        return self.sensor(sensor).matrix()
+
+    def sensor(self, name: str) -> Sensor:
+        """The settings of a sensor."""
         sensors = {**self.config.lidars, 'imu': self.config.imu, 'gnss': self.config.gnss}
-        return sensors[sensor].matrix() if sensor in sensors else np.eye(4)
+        return sensors.get(name, Sensor())
 
     def mended(self) -> tuple[Finding, ...]:
-        """Findings that a run goes by."""
-        return tuple(found for found in self.findings if found.changes)
+        """Findings of the sample that a run goes by; those of the opening are in force."""
+        return tuple(found for found in self.suspicions if found.changes)
 
     def settings(self) -> Tree:
         """What a user without settings starts from: ``start``, and what the data prove."""

@@ -52,7 +52,8 @@ def _table(survey: Survey) -> list[list[str]]:
     titles = ['sensor', 'topic', 'messages', 'rate', 'longest gap', 'stamp - record', 'frame']
     rows = [[*titles, 'T_base_sensor from']]
     for sample in survey.samples:
-        times = [rate_text(sample), _gap(sample), clock_text(sample)]
+        offset = survey.sensor(sample.sensor).time_offset
+        times = [rate_text(sample), _gap(sample), clock_text(sample, offset)]
         facts = [sample.sensor, sample.topic, str(sample.count)]
         rows.append([*facts, *times, sample.frame, sample.origin])
     kept = [column for column in zip(*rows, strict=True) if any(column[1:])]
@@ -69,18 +70,26 @@ def _gap(sample: SensorSample) -> str:
     return f'{sample.steps.max():.3g} s' if len(sample.recorded) > 1 else _NEVER
 
 
-def clock_text(sample: SensorSample) -> str:
-    """Median of stamp minus time of recording, and how far it varies."""
+def clock_text(sample: SensorSample, offset: float = 0.0) -> str:
+    """Median of stamp minus time of recording, and how far it varies; empty where there is none.
+
+    Args:
+        sample: of the sensor.
+        offset: seconds that were added to its stamps; both clocks are shown.
+    """
     if not sample.logged or not len(sample.stamps):
         return ''
-    late = (sample.stamps - sample.received) / NANOSECONDS
-    middle = float(np.median(late))
-    spread = float(np.quantile(np.abs(late - middle), 0.95))
-    if abs(middle) > _YEAR:
-        return f'{middle / _YEAR:+.2f} years'
-    if abs(middle) > _HOUR:
-        return f'{middle:+.0f} s'
-    return f'{middle:+.3f} s' + (f' ± {spread:.3f}' if spread >= 0.0005 else '')
+    ahead = (sample.stamps - sample.received) / NANOSECONDS
+    middle = float(np.median(ahead))
+    spread = float(np.quantile(np.abs(ahead - middle), 0.95))
+    shown = _seconds(middle) + (f' ± {spread:.3f}' if spread >= 0.0005 else '')
+    return f'{_seconds(middle - offset)} -> {shown}' if offset else shown
+
+
+def _seconds(value: float) -> str:
+    if abs(value) > _YEAR:
+        return f'{value / _YEAR:+.2f} years'
+    return f'{value:+.0f} s' if abs(value) > _HOUR else f'{value:+.3f} s'
 
 
 def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
