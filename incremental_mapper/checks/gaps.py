@@ -137,7 +137,7 @@ def silences(sensor: str, recorded: NDArray[np.int64]) -> list[Finding]:
     steps = np.diff(recorded) / NANOSECONDS
     least = max(SILENCE, PERIODS * float(np.median(steps)))
     holes = steps > least
-    if not holes.any() or is_uneven(steps):
+    if not holes.any() or is_uneven(steps[~holes]):
         return []
     worst = int(np.argmax(steps))
     after = (recorded[worst] - recorded[0]) / NANOSECONDS
