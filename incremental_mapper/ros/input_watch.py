@@ -14,10 +14,13 @@ from incremental_mapper.checks.live_inputs import (
     other_type,
 )
 from incremental_mapper.checks.sweeps import (
+    partial_sweeps,
+    sector_clouds,
     several_frames,
     take_turns,
     two_lidars_one_frame,
 )
+from incremental_mapper.config import LidarSensor
 from incremental_mapper.datasets.first_look import LOOKED_AT
 from incremental_mapper.datasets.remarks import Remarks
 from incremental_mapper.datasets.topics import CONVERTERS, MAP_FRAMES
@@ -39,17 +42,18 @@ class InputWatch:
     clouds that are nobody's.
     """
 
-    def __init__(self, topics: Mapping[str, str], lidars: Sequence[str]) -> None:
-        """``topics`` are the full names by sensor, ``lidars`` the sensors that are LiDARs."""
+    def __init__(self, topics: Mapping[str, str], lidars: Mapping[str, LidarSensor]) -> None:
+        """``topics`` are the full names by sensor, ``lidars`` the settings of the LiDARs."""
         self.drops: Drops = Counter()
         self._topics = topics
-        self._lidars = tuple(lidars)
+        self._lidars = dict(lidars)
         self._owners: dict[str, dict[str, str | None]] = defaultdict(dict)
         self._counts: dict[str, Counter[str]] = defaultdict(Counter)
         self._newest: dict[str, int] = {}
         self._remarks = Remarks()
         self._clouds: dict[str, list[Points]] = {}
         self._alternating: dict[str, Finding] = {}
+        self._sectors: list[Finding] = []
         self._heard: set[str] = set()
         self._looks: Counter[Finding] = Counter()
         self._unpublished: tuple[Finding, ...] = ()
@@ -128,6 +132,11 @@ class InputWatch:
             *self._unpublished,
         )
 
+    def mended(self) -> tuple[Finding, ...]:
+        """What was found since the last call that settings put right."""
+        found, self._sectors = tuple(self._sectors), []
+        return found
+
     def _owner(self, scan: LidarScan, frame: str) -> str | None:
         """Whose clouds of this frame_id on the sensor's topic are."""
         topic = self._topics[scan.sensor]
@@ -180,8 +189,11 @@ class InputWatch:
         clouds.append(scan.points)
         if len(clouds) < LOOKED_AT:
             return
+        topic = self._topics[scan.sensor]
+        share = partial_sweeps(clouds)
+        if share is not None and not self._lidars[scan.sensor].sectors:
+            self._sectors.append(sector_clouds(scan.sensor, topic, share))
         if take_turns(clouds):
-            topic = self._topics[scan.sensor]
             self._alternating[scan.sensor] = two_lidars_one_frame(scan.sensor, topic, frame)
         self._clouds[scan.sensor] = [np.zeros((0, 3), dtype=np.float32)] * LOOKED_AT
 

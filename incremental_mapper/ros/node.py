@@ -100,7 +100,7 @@ class MapperNode:
         self._guard = self.node.create_guard_condition(self._on_updates)
         self._worker = Worker(config, self._take_update)
         self._inputs = Inputs(self.node, config, self._on_measurement)
-        self._watch = InputWatch(self._inputs.topics, list(config.lidars))
+        self._watch = InputWatch(self._inputs.topics, config.lidars)
         self._extrinsics = self._make_extrinsics()
         self._worker.outside_drops = self._outside_drops
         self._outputs = Outputs(self.node, self.parameters, self._worker.inbox)
@@ -184,9 +184,9 @@ class MapperNode:
             else:
                 self._logger.warning(update.message)
 
-    def _look_at_clocks(self) -> None:
-        """Tell what the clocks show; where that mends them, a new map begins."""
-        found = self._inputs.findings()
+    def _mend_inputs(self) -> None:
+        """Tell what clocks and clouds show; where settings mend them, a new map begins."""
+        found = (*self._inputs.findings(), *self._watch.mended())
         self._findings.add(item for item in found if not item.changes)
         mended = tuple(item for item in found if item.changes)
         if mended:
@@ -239,7 +239,7 @@ class MapperNode:
 
     def _on_tick(self) -> None:
         self._extrinsics.look()
-        self._look_at_clocks()
+        self._mend_inputs()
         self._worker.graph_span = self.parameters.config.graph.markers_span
         self._outputs.tick()
         overloaded = self._worker.inbox.shedding() != NO_SHEDDING

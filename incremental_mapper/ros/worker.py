@@ -9,9 +9,10 @@ from pathlib import Path
 
 from incremental_mapper.checks.finding import Finding, Severity, ranked
 from incremental_mapper.config import Config
+from incremental_mapper.datasets.sectors import SectorGatherer
 from incremental_mapper.datasets.sensor_settings import with_settings
 from incremental_mapper.errors import MapperError
-from incremental_mapper.measurements import Drops, Measurement
+from incremental_mapper.measurements import Drops, LidarScan, Measurement
 from incremental_mapper.results.offline_run import MOST_MENDS
 from incremental_mapper.ros.beginning import Beginning
 from incremental_mapper.ros.inbox import Command, Deadline, Inbox, Order, Renewal
@@ -59,6 +60,7 @@ class Worker:
         self._deadline: Deadline | None = None
         self._retry = Deadline(0.0)
         self._beginning = Beginning()
+        self._sectors: dict[str, SectorGatherer] = {}
         self._mends = 0
         self._known: tuple[Finding, ...] = ()  # what the settings put right by now
         self._session: MapSession | None = MapSession(config)
@@ -164,7 +166,7 @@ class Worker:
         before, self._session = self._session, None
         if before is not None:
             self._emit(Restarted(reason, self.config, self._known))
-        self._beginning = Beginning()
+        self._beginning, self._sectors = Beginning(), {}
         try:
             if before is not None:
                 before.close()
@@ -216,7 +218,10 @@ class Worker:
         self._renew(Renewal(session.mend, reason, session.mended))
 
     def _take_in(self, raw: Measurement) -> None:
-        measurement = with_settings(raw, self.config)
+        measurement = self._gathered(with_settings(raw, self.config))
+        if measurement is None:
+            self._beginning.add(raw)
+            return
         passed = self.jumps.check(measurement)
         if passed.jumped:
             with self._guarded():
@@ -239,8 +244,20 @@ class Worker:
         with self._guarded():
             self._tell(self._session.advance(measurement, self.inbox.shedding()))
 
+    def _gathered(self, measurement: Measurement) -> Measurement | None:
+        """A whole sweep where a LiDAR sends parts of them; None until there is one."""
+        lidar = self.config.lidars.get(measurement.sensor)
+        if lidar is None or not lidar.sectors or not isinstance(measurement, LidarScan):
+            return measurement
+        gatherer = self._sectors.setdefault(measurement.sensor, SectorGatherer())
+        return gatherer.take(measurement)
+
     def _drain(self) -> int:
         """Close all windows; returns how many."""
+        for gatherer in self._sectors.values():
+            sweep = gatherer.finish()
+            if sweep is not None:
+                self._map(sweep)
         return 0 if self._session is None else self._tell(self._session.drain())
 
     def _tell(self, updates: Iterable[WindowUpdate]) -> int:

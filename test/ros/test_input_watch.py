@@ -5,6 +5,7 @@ import pytest
 
 pytest.importorskip('rclpy', reason='rclpy is not installed (extra "ros")')
 
+from incremental_mapper.config import LidarSensor
 from incremental_mapper.measurements import make_scan
 from incremental_mapper.ros.input_watch import LOOKS, InputWatch
 
@@ -12,6 +13,7 @@ CLOUD, IMU = 'sensor_msgs/msg/PointCloud2', 'sensor_msgs/msg/Imu'
 TOPICS = {'left': '/points_left', 'right': '/points_right', 'imu': '/imu'}
 KEYS = {'left': 'lidars.left.topic', 'right': 'lidars.right.topic', 'imu': 'imu.topic'}
 TYPES = {'left': CLOUD, 'right': CLOUD, 'imu': IMU}
+LIDARS = {'left': LidarSensor(), 'right': LidarSensor()}
 SECOND = 1_000_000_000
 
 
@@ -27,7 +29,7 @@ def rules(watch):
 
 @pytest.fixture
 def watch():
-    return InputWatch(TOPICS, ['left', 'right'])
+    return InputWatch(TOPICS, LIDARS)
 
 
 def test_nothing_is_wrong_with_clouds_of_one_frame(watch):
@@ -54,7 +56,7 @@ def test_a_frame_that_is_renamed_is_used_after_a_while(watch):
 
 @pytest.mark.parametrize('frames', [('velo_right', 'velo_left'), ('a', 'b')])
 def test_two_lidars_on_one_topic_are_told_apart_by_their_frames(frames):
-    watch = InputWatch({**TOPICS, 'left': '/points', 'right': '/points'}, ['left', 'right'])
+    watch = InputWatch({**TOPICS, 'left': '/points', 'right': '/points'}, LIDARS)
     taken = {'left': [], 'right': []}
     for number in range(10):
         for sensor, seen in taken.items():
@@ -108,3 +110,18 @@ def test_vendor_messages_name_the_driver_that_converts_them(watch):
 def test_a_topic_of_another_type_is_said(watch):
     found = look(watch, {'/points_left': ['sensor_msgs/msg/LaserScan']})
     assert found.keys() == {('other_type', 'left')}
+
+
+def test_parts_of_sweeps_are_to_be_gathered(watch):
+    rng = np.random.default_rng(2)
+
+    def sector(number):
+        angle = (number % 10 + rng.random(500)) * 0.2 * np.pi
+        return np.stack([10 * np.cos(angle), 10 * np.sin(angle), rng.random(500)], axis=1)
+
+    for number in range(24):
+        assert watch.take(scan(number, points=sector(number)), 'velodyne')
+    (finding,) = watch.mended()
+    assert finding.rule == 'sector_clouds'
+    assert finding.settings == {'lidars': {'left': {'sectors': True}}}
+    assert watch.mended() == ()
