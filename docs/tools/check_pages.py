@@ -25,6 +25,8 @@ from importlib.util import find_spec
 from itertools import pairwise
 from pathlib import Path
 
+from said_messages import PACKAGE, ROOT, Mistake, check_messages
+
 from incremental_mapper.cli.main import COMMANDS, make_parser
 from incremental_mapper.config import Config, LidarSensor, Section
 from incremental_mapper.datasets.bags import SETTINGS_FILE
@@ -32,8 +34,6 @@ from incremental_mapper.errors import ConfigError
 from incremental_mapper.selection.strategies import GROUP, strategy_names
 from incremental_mapper.settings import make_config, read_yaml
 
-ROOT = Path(__file__).resolve().parents[2]
-PACKAGE = 'incremental_mapper'
 SERVICES = ('flush', 'save_map', 'reset', 'pause')
 OTHERS = ('cd', 'colcon', 'dask', 'export', 'git', 'ls', 'source')
 """Programs whose arguments are not ours to check."""
@@ -60,18 +60,6 @@ MADE = ('out/', 'demo_out/', 'compared/', 'site/', 'calibration/', 'sensor_data/
 """Folders that are made, or belong to a data set."""
 SETTING = re.compile(r'^([a-z_]+)\.([A-Za-z_*]+)(\.[A-Za-z_]+)?(?:: (.+))?$')
 PATH = re.compile(r'^[\w.-]+(/[\w.-]+)*(/|\.\w+)$')
-
-
-@dataclass(frozen=True)
-class Mistake:
-    """Something on a page that does not exist."""
-
-    page: str
-    line: int
-    message: str
-
-    def __str__(self) -> str:
-        return f'{self.page}:{self.line}: {self.message}'
 
 
 @dataclass(frozen=True)
@@ -373,48 +361,6 @@ def check_links(text: str, page: Path) -> list[Mistake]:
     return found
 
 
-def check_refusals(text: str, name: str) -> list[Mistake]:
-    """Every refusal and every reason of a dropped measurement stands on the page of messages."""
-    plain = ' '.join(re.sub(r'[`*\\]', '', text).split())
-    # Of several places that say the same the last is told.
-    said = {' '.join(fragment.split()): place for place, fragment in refusals()}
-    reasons = {reason: place for place, reason in drop_reasons()}
-    missing = [item for item in said.items() if item[0] not in plain]
-    missing += [item for item in reasons.items() if not re.search(rf'\b{item[0]}\b', plain)]
-    return [Mistake(name, 1, f'does not tell of {what!r} ({place})') for what, place in missing]
-
-
-def refusals() -> Iterator[tuple[str, str]]:
-    """Where the package refuses something, and the longest fixed piece of what it says."""
-    for path, tree in _sources():
-        for node in ast.walk(tree):
-            if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call):
-                called = node.exc.func
-                if isinstance(called, ast.Name) and called.id in (
-                    'InputError',
-                    'ConfigError',
-                    'OutputError',
-                ):
-                    fragment = _longest_text(node.exc)
-                    if len(fragment) > 3:
-                        yield f'{path}:{node.lineno}', fragment
-
-
-def drop_reasons() -> Iterator[tuple[str, str]]:
-    """Where a measurement is left out, and the key that it is counted under."""
-    for path, tree in _sources():
-        for node in ast.walk(tree):
-            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
-                if node.func.id == 'MeasurementError' and node.args:
-                    yield from _constants(f'{path}:{node.lineno}', node.args[0])
-            elif isinstance(node, ast.Subscript) and isinstance(node.slice, ast.Tuple):
-                value = node.value
-                label = value.attr if isinstance(value, ast.Attribute) else ''
-                label = value.id if isinstance(value, ast.Name) else label
-                if label.strip('_').endswith('drops'):
-                    yield from _constants(f'{path}:{node.lineno}', node.slice.elts[-1])
-
-
 def check_all(pages: Sequence[Path]) -> list[Mistake]:
     """All mistakes of the pages."""
     found = []
@@ -422,7 +368,7 @@ def check_all(pages: Sequence[Path]) -> list[Mistake]:
         text = path.read_text(encoding='utf-8')
         found += check_page(text, _shown(path)) + check_links(text, path)
         if path.name == 'messages.md':
-            found += check_refusals(text, _shown(path))
+            found += check_messages(text, _shown(path))
     return found
 
 
@@ -461,25 +407,6 @@ def check_site(site: Path) -> list[Mistake]:
 def all_pages() -> list[Path]:
     """README.md, CONTRIBUTING.md and everything below docs/."""
     return [ROOT / 'README.md', ROOT / 'CONTRIBUTING.md', *sorted((ROOT / 'docs').rglob('*.md'))]
-
-
-def _sources() -> Iterator[tuple[str, ast.Module]]:
-    for path in sorted((ROOT / PACKAGE).rglob('*.py')):
-        yield str(path.relative_to(ROOT)), ast.parse(path.read_text(encoding='utf-8'))
-
-
-def _longest_text(call: ast.Call) -> str:
-    texts = [
-        node.value
-        for node in ast.walk(call)
-        if isinstance(node, ast.Constant) and isinstance(node.value, str)
-    ]
-    return max((text.strip(' .:;,()"\'') for text in texts), key=len, default='')
-
-
-def _constants(place: str, node: ast.expr) -> Iterator[tuple[str, str]]:
-    if isinstance(node, ast.Constant) and isinstance(node.value, str):
-        yield place, node.value
 
 
 def _check_setting(setting: re.Match[str]) -> list[str]:

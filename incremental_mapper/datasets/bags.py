@@ -14,6 +14,7 @@ from rosbags.interfaces import Connection
 from scipy.spatial.transform import Rotation
 
 from incremental_mapper.checks.cloud_copies import copied_from
+from incremental_mapper.checks.live_inputs import map_frame
 from incremental_mapper.checks.sweeps import other_frame, sector_clouds, two_lidars_one_frame
 from incremental_mapper.config import Tree
 from incremental_mapper.datasets.bag_files import Topic, bag_files, open_bag
@@ -44,6 +45,7 @@ from incremental_mapper.datasets.static_transforms import STATIC_TOPIC
 from incremental_mapper.datasets.topics import (
     CLOUDS,
     IMU,
+    MAP_FRAMES,
     FrameTopic,
     TopicChoice,
     choose_topics,
@@ -138,6 +140,11 @@ class BagSource:
                 *(
                     sector_clouds(name, self._choice.topics[name].name, share)
                     for name, share in sectors.items()
+                ),
+                *(
+                    map_frame(name, f'lidars.{name}.topic', self._choice.topics[name].name, frame)
+                    for name, frame, _ in lidars
+                    if frame.lstrip('/') in MAP_FRAMES
                 ),
                 *(
                     two_lidars_one_frame(name, self._choice.topics[name].name, frame)

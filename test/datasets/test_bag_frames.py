@@ -210,7 +210,8 @@ def test_clouds_of_a_map_are_no_lidar(tmp_path, frame):
     assert source.info.counts == {'points': 3, 'imu': 3, 'gnss': 3}
     assert len(said(source, 'map_frame')) == 1
     tree = {'lidars': {'names': ['all'], 'all': {'topic': '/map_cloud'}}}
-    assert open_source(bag, tree).info.counts['all'] == 5
+    named = open_source(bag, tree)
+    assert named.info.counts['all'] == 5 and len(said(named, 'map_frame')) == 1
 
 
 def test_a_topic_that_is_not_there_is_a_note_where_the_rest_suffices(tmp_path):

@@ -2,6 +2,7 @@
 
 import check_pages
 import pytest
+import said_messages
 
 
 def mistakes(text: str) -> list[str]:
@@ -186,19 +187,22 @@ def test_generated_pages_may_be_linked() -> None:
 
 def test_the_page_of_messages_has_every_refusal_and_reason() -> None:
     text = (check_pages.ROOT / 'docs' / 'messages.md').read_text()
-    assert check_pages.check_refusals(text, 'messages.md') == []
+    assert said_messages.check_messages(text, 'messages.md') == []
     without = text.replace('is no file; expected a TUM trajectory', '').replace('stamp_leap', '')
-    told = [item.message for item in check_pages.check_refusals(without, 'messages.md')]
-    assert len(told) == 2
+    without = without.replace('`sector_clouds`', '')
+    told = [item.message for item in said_messages.check_messages(without, 'messages.md')]
+    assert len(told) == 3 and "'sector_clouds'" in told[2]
     assert 'is no file; expected a TUM trajectory' in told[0]
     assert "'stamp_leap'" in told[1]
 
 
 def test_refusals_are_found_in_the_code() -> None:
-    fragments = {fragment for _, fragment in check_pages.refusals()}
+    fragments = {fragment for _, fragment in said_messages.refusals()}
     assert 'is not empty; name another folder or add --force' in fragments
     assert len(fragments) > 60
-    assert {'late', 'truncated', 'queue_full'} <= {why for _, why in check_pages.drop_reasons()}
+    rules = {rule for _, rule in said_messages.finding_rules()}
+    assert {'sector_clouds', 'imu_in_deg', 'sensor_mostly_unused', '_misfit'} <= rules
+    assert {'late', 'truncated', 'queue_full'} <= {why for _, why in said_messages.drop_reasons()}
 
 
 @pytest.mark.parametrize(
