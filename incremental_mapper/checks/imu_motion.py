@@ -16,9 +16,9 @@ Array = NDArray[np.float64]
 
 STEP = 0.005
 """Seconds between two lags that are tried."""
-COARSE = 4
+COARSE = 5
 """Steps between two lags at first; half of what a bump takes."""
-MOST_COMPARED = 400
+MOST_COMPARED = 250
 """Matches that are compared at all lags, those that turn most."""
 FEWEST = 16
 """Matches below which nothing is compared."""
@@ -349,17 +349,24 @@ def force_pairs(evidence: MotionEvidence) -> tuple[Array, Array]:
     middle, length = seconds[keep].mean(axis=1), length[keep, None]
     velocity, rate = evidence.shifts[keep] / length, evidence.turns[keep] / length
     moments = (evidence.stamps - start) / NANOSECONDS
-    seen, felt = [], []
-    for block in range(int(moments[-1] / BLOCK) + 1):
-        centre = (block + 0.5) * BLOCK
-        mine = np.abs(middle - centre) <= 0.5 * BLOCK
-        samples = np.abs(moments - centre) <= 0.5 * BLOCK
-        if mine.sum() < 6 or samples.sum() < 5:
-            continue
-        offset = middle[mine] - centre
-        mean = velocity[mine].mean(axis=0)
-        deviation = offset - offset.mean()
-        slope = deviation @ velocity[mine] / max(float(deviation @ deviation), 1e-12)
-        seen.append(slope + np.cross(rate[mine].mean(axis=0), mean))
-        felt.append(evidence.force[samples].mean(axis=0))
-    return np.reshape(seen, (-1, 3)), np.reshape(felt, (-1, 3))
+    block = np.floor(middle / BLOCK).astype(int)
+    inside = (block >= 0) & (block <= moments[-1] / BLOCK)
+    block, offset = block[inside], middle[inside] - (block[inside] + 0.5) * BLOCK
+    velocity, rate = velocity[inside], rate[inside]
+    count = int(moments[-1] / BLOCK) + 1
+
+    def sums(index: NDArray[np.int64], *columns: Array) -> Array:
+        return np.stack([np.bincount(index, column, count) for column in columns], axis=1)
+
+    number = np.bincount(block, minlength=count)
+    of = np.maximum(number, 1)[:, None]
+    velocities, rates = sums(block, *velocity.T) / of, sums(block, *rate.T) / of
+    times = sums(block, offset, offset**2) / of
+    products = sums(block, *(offset * velocity.T)) / of
+    spread = np.maximum(times[:, 1:] - times[:, :1] ** 2, 1e-12)
+    seen = (products - times[:, :1] * velocities) / spread + np.cross(rates, velocities)
+    own = np.floor(moments / BLOCK).astype(int)
+    samples = np.bincount(own, minlength=count)
+    felt = sums(own, *evidence.force.T) / np.maximum(samples, 1)[:, None]
+    enough = (number >= 6) & (samples >= 5)
+    return seen[enough], felt[enough]

@@ -26,7 +26,7 @@ MOST_SAMPLES = 20_000
 """Samples that are kept, up to twice as many between: 50 s at 400 Hz."""
 MOST_MATCHES = 1000
 """Matches that are kept, the same way: 50 s of two LiDARs."""
-GROWTH = 1.6
+GROWTH = 2.0
 """The rules are asked again when there is so many times the evidence."""
 MARGIN = 0.05
 """Seconds beyond a decision's time, for samples that are not quite regular."""
