@@ -22,6 +22,7 @@ MAPPER_KEYS = (
     'vertices',
     'factors',
     'components',
+    'bridges',
     'georeferenced',
     'failed_windows',
 )
@@ -140,6 +141,8 @@ class Health:
             'fixes_rejected': dict(drops.get(GNSS, {})),
         }
         level, message = DiagnosticStatus.OK, 'connected'
+        if values['bridges']:
+            message = f'connected; {values["bridges"]} of {values["clusters"]} poses by a bridge'
         if values['components'] > 1:
             level, message = DiagnosticStatus.WARN, 'the graph is not connected'
         elif values['failed_windows']:

@@ -1,0 +1,126 @@
+"""A map is judged by its factors, whole and while it grows."""
+
+import gtsam
+import numpy as np
+import pytest
+
+from incremental_mapper.candidates.model import Cluster, CoreKind, CoreMeasurement
+from incremental_mapper.checks.finding import Severity
+from incremental_mapper.config import Config
+from incremental_mapper.graph.factors import (
+    FactorKind,
+    between_factor,
+    gnss_factor,
+    pose_sigmas,
+)
+from incremental_mapper.graph.frontier import Frontier
+from incremental_mapper.mapping.judgement import FitWatch, judge_map, residuals
+from incremental_mapper.mapping.statistics import Totals
+from incremental_mapper.smoothing.graph_state import GraphState, PlacedCluster, PlacedFix
+from incremental_mapper.variables import pose_key
+
+S = 1_000_000_000
+STEP = 0.5
+"""Metres between two poses, 0.1 s apart."""
+
+
+def straight(count, turned=0.0, fixes_off=0.0, until=None):
+    """A map of two LiDARs that drives forward.
+
+    ``turned`` (degrees) is how wrong the yaw of the left one's extrinsics is; ``fixes_off`` metres
+    are added to the fixes from half of the drive on.
+    """
+    state = GraphState(georeferenced=True, enu_offset=np.zeros(3))
+    yaw = np.radians(turned)
+    moves = {'left': gtsam.Point3(STEP * np.cos(yaw), STEP * np.sin(yaw), 0.0)}
+    moves['right'] = gtsam.Point3(STEP, 0.0, 0.0)
+    for index in range(count):
+        stamp = index * S // 10
+        core = [CoreMeasurement(stamp, name, CoreKind.LIDAR) for name in moves]
+        state.clusters.append(PlacedCluster(index, index, Cluster(tuple(core))))
+        place = np.array([index * STEP, 0.0, 0.0])
+        state.values.insert(pose_key(index), gtsam.Pose3(gtsam.Rot3(), place))
+        for name, move in moves.items() if index else ():
+            state.factors.append(
+                between_factor(
+                    FactorKind.ODOMETRY,
+                    (pose_key(index - 1), pose_key(index)),
+                    gtsam.Pose3(gtsam.Rot3(), move),
+                    pose_sigmas(0.03, 0.003),
+                    name,
+                    (stamp - S // 10, stamp),
+                )
+            )
+        if index % 10 == 0:
+            fix = place + [0.0, fixes_off * (index >= count // 2), 0.0]
+            noise = 0.01 * np.eye(3)
+            state.factors.append(
+                gnss_factor(pose_key(index), fix, noise, np.zeros(3), 3.0, 'gnss', stamp)
+            )
+            factor = len(state.factors) - 1
+            state.fixes.append(PlacedFix(index, stamp, fix, noise, np.zeros(3), factor))
+    state.frontier = Frontier(newest=count - 1, newest_stamp=(count - 1) * S // 10)
+    return state
+
+
+def judged(state):
+    return {item.rule: item for item in judge_map(state, state.values, Config())}
+
+
+def test_a_sound_map_has_no_finding():
+    assert judged(straight(120)) == {}
+    assert judged(GraphState()) == {}
+
+
+def test_a_robust_loss_does_not_hide_what_fixes_say():
+    state = straight(120, fixes_off=5.0)
+    (fixes,) = [item for item in residuals(state.factors, state.values) if item.kind == 'gnss']
+    assert fixes.squared[-1] == pytest.approx(5.0**2 / 0.01 / 3)
+    assert fixes.metres[-1] == pytest.approx(5.0)
+    found = judged(state)['gnss_misfit']
+    assert found.sensor == 'gnss' and '5.00 m' in found.text
+
+
+def test_of_lidars_that_drive_apart_only_the_cause_is_told():
+    found = judged(straight(120, turned=90.0))
+    assert set(found) == {'lidars_disagree'}
+    assert found['lidars_disagree'].sensor == 'left'
+    assert found['lidars_disagree'].severity is Severity.ERROR
+
+
+def test_a_growing_map_is_judged_now_and_then():
+    """As the node has it: the same state, seen again and again while it grows."""
+    watch, whole = FitWatch(Config()), straight(200, turned=60.0)
+    told = []
+    for count in range(1, 200):
+        state = GraphState(
+            values=whole.values,
+            clusters=whole.clusters[:count],
+            factors=[f for f in whole.factors if f.stamps[-1] < count * S // 10],
+            frontier=Frontier(newest=count - 1, newest_stamp=(count - 1) * S // 10),
+        )
+        watch.window(state)
+        told.append(len(watch.found))
+    assert told[40] == 0 and told[60] == 1
+    assert [item.rule for item in watch.found] == ['lidars_disagree']
+
+
+def test_outcome_counts_what_is_in_the_map():
+    state, watch = straight(120), FitWatch(Config())
+    for _ in range(2):  # nothing is counted twice
+        outcome = watch.outcome(state, Totals(bridges=3), {'left: match rejected': 4}, [])
+    assert outcome.matched == {'left': 119, 'right': 119}
+    assert outcome.reasons == {'left': '4 match rejected'}
+    assert (outcome.clusters, outcome.bridges, outcome.fixes) == (120, 3, 12)
+    assert outcome.farthest == pytest.approx(119 * STEP)
+
+
+def test_wrong_extrinsics_end_with_status_1(map_light, light_drive):
+    wrong = 'lidars:\n  names: [left, right]\n  left:\n    T_base_sensor: [0, 0, 0, 0, 0, 0, 1]\n'
+    run = map_light(light_drive, config=wrong)
+    assert run.status == 1
+    assert run.stats['warnings'][0]['severity'] == 'error'
+    rules = {item['rule'] for item in run.stats['warnings']}
+    assert 'lidars_disagree' in rules
+    last = [line for line in run.err.splitlines() if line.startswith(('error', 'warning'))][-1]
+    assert last.startswith('error: ')
