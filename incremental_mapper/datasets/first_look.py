@@ -12,7 +12,7 @@ from incremental_mapper.checks.sweeps import FEWEST_CLOUDS, partial_sweeps, take
 from incremental_mapper.datasets.bag_files import Topic
 from incremental_mapper.datasets.bag_recovery import BagReader
 from incremental_mapper.datasets.message_conversion import describe_times, header_stamp
-from incremental_mapper.datasets.point_clouds import cloud_points, cloud_table
+from incremental_mapper.datasets.point_clouds import cloud_table
 from incremental_mapper.errors import MeasurementError
 from incremental_mapper.measurements import Points
 
@@ -112,7 +112,7 @@ def look_at_clouds(reader: BagReader, topic: Topic) -> TopicLook:
 
 def _usable(message: Any) -> Points:
     """The points of a cloud that are some; raises MeasurementError where there is no cloud."""
-    points = cloud_points(cloud_table(message).points)
+    points = cloud_table(message).xyz()
     with np.errstate(over='ignore', invalid='ignore'):
         distance = np.abs(points).sum(axis=1)
     usable: Points = points[np.isfinite(distance) & (distance > 0.0)]

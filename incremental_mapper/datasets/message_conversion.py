@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from incremental_mapper.datasets.point_clouds import cloud_points, cloud_table
+from incremental_mapper.datasets.point_clouds import cloud_table
 from incremental_mapper.datasets.point_times import point_times
 from incremental_mapper.errors import MeasurementError
 from incremental_mapper.measurements import (
@@ -63,7 +63,7 @@ def scan_from_message(
     def make() -> LidarScan:
         stamp = header_stamp(message)
         table = cloud_table(message)
-        points = cloud_points(table.points)
+        points = table.xyz()
         times = point_times(table.points, stamp, points)
         scan = make_scan(stamp + offset_ns, sensor, points, times.seconds, min_points)
         remarks = (*table.remarks, *times.remarks)
@@ -80,8 +80,8 @@ def describe_times(message: Any) -> str:
     """
 
     def describe() -> str:
-        table = cloud_table(message).points
-        return point_times(table, header_stamp(message), cloud_points(table)).note
+        table = cloud_table(message)
+        return point_times(table.points, header_stamp(message), table.xyz()).note
 
     return _checked('cloud', describe)
 

@@ -19,12 +19,18 @@ from incremental_mapper.measurements import Points, Remark
 _DATATYPES = {1: 'i1', 2: 'u1', 3: 'i2', 4: 'u2', 5: 'i4', 6: 'u4', 7: 'f4', 8: 'f8'}
 # Read in the wrong byte order, a float has a random exponent: 16 % of them fall between these.
 _LEAST, _MOST = 1e-6, 1e6
+_MILLIMETRES = 2e3, 2e5
+"""Bounds of the median of the coordinates' sizes where they are millimetres; in metres it is below
+100 on every road. Maps in grid coordinates are above, or far off the origin on all sides."""
 _IMPLAUSIBLE, _PLAUSIBLE = 0.5, 0.9
 _JUDGED = 200
 """Points of a cloud that are looked at to judge its layout."""
 
 _MAX_STEP = 1 << 16
 """Bytes of a point; those of known drivers are 12 to 48, and NumPy's limit is 2^31."""
+
+_FEWEST_JUDGED = 20
+"""Points with which a cloud's unit is judged."""
 
 _FLOAT32, _FLOAT64 = 7, 8
 
@@ -42,11 +48,17 @@ class _Field:
 class CloudTable:
     """The points of a cloud as a structured array (N,) with the message's field names.
 
-    ``remarks`` are what the message says wrongly of its layout.
+    ``remarks`` are what the message says wrongly of its layout; ``scale`` makes metres of x, y, z.
     """
 
     points: NDArray[np.void]
     remarks: tuple[Remark, ...]
+    scale: float = 1.0
+
+    def xyz(self) -> Points:
+        """x, y, z, (N, 3) float32 metres; not filtered."""
+        points = cloud_points(self.points)
+        return points if self.scale == 1.0 else points * np.float32(self.scale)
 
 
 def cloud_table(message: Any) -> CloudTable:
@@ -102,7 +114,24 @@ def cloud_table(message: Any) -> CloudTable:
             f'only {100 * share:.0f} % of the coordinates are 0 or between {_LEAST:g} and {_MOST:g}'
             ', in no byte order and float type more: the data are not what the fields say',
         )
+    if _in_millimetres(points):
+        text = 'x, y, z are in millimetres by their size; taken for that'
+        return CloudTable(points, (*remarks, Remark('millimetres', text)), 1e-3)
     return CloudTable(points, remarks)
+
+
+def _in_millimetres(table: NDArray[np.void]) -> bool:
+    """Whether a cloud around its LiDAR has coordinates too large for metres."""
+    sample = table[:: max(len(table) // _JUDGED, 1)]
+    points = np.stack([sample[name].astype(np.float64) for name in 'xyz'], axis=1)
+    with np.errstate(over='ignore', invalid='ignore'):
+        distance = np.abs(points).max(axis=1)
+    points = points[np.isfinite(distance) & (distance > 0.0)]
+    if len(points) < _FEWEST_JUDGED:
+        return False
+    least, most = _MILLIMETRES
+    around = np.median(np.abs(points - np.median(points, axis=0)), axis=0).max()
+    return bool(least < np.median(np.abs(points).max(axis=1)) < most and around > least / 4.0)
 
 
 def _row_step(message: Any, size: int) -> tuple[int, tuple[Remark, ...]]:

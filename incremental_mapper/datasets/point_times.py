@@ -7,7 +7,16 @@ from numpy.typing import NDArray
 
 from incremental_mapper.measurements import NANOSECONDS, Points, Remark
 
-TIME_FIELDS = ('time', 't', 'timestamp', 'time_stamp', 'offset_time')
+TIME_FIELDS = (
+    'time',
+    't',
+    'timestamp',
+    'time_stamp',
+    'offset_time',
+    'time_offset',
+    'time_offset_ns',
+    'ts',
+)
 
 _UNITS = {'s': 1.0, 'ms': 1e-3, 'us': 1e-6, 'ns': 1e-9}
 # A sweep takes 0.05 s to 0.2 s. The bounds are wider, and their ratio of 1000 leaves one unit.
@@ -19,6 +28,12 @@ _MAX_RELATIVE = 1.0
 # rest, in spans of it: a sweep of constant speed reaches 0.06.
 _ABSURD_SHARE = 0.05
 _REACH = 1.0
+# Where the largest gap between times is more than this share of their span, they are not those of
+# one sweep; a sweep without half of its turn has no gap, for nothing is measured meanwhile.
+_GAP = 0.6
+_GAP_POINTS, _GAP_SAMPLE = 20, 500
+# The share of points on the smaller side of the gap that may be left out.
+_MOST_APART = 0.25
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,6 +65,13 @@ def point_times(table: NDArray[np.void], stamp: int, points: Points) -> PointTim
         return _unusable(f'field {name!r} holds no usable time')
     values, remarks = _without_absurd(name, values, usable)
     usable &= np.isfinite(values)
+    values, apart = _without_gap(values, usable)
+    usable &= np.isfinite(values)
+    if apart > _MOST_APART:
+        return _unusable(f'field {name!r} falls into two parts, which is no sweep')
+    if apart and not remarks:
+        text = f'field {name!r}: {apart:.0%} of the times lie apart; these points are left out'
+        remarks = (Remark('absurd_times', text),)
     low, high = float(values[usable].min()), float(values[usable].max())
     if low == high:
         return _unusable(f'field {name!r} is constant, points are not de-skewed')
@@ -70,6 +92,23 @@ def point_times(table: NDArray[np.void], stamp: int, points: Points) -> PointTim
         f'field {name!r} in {unit} on a clock of its own, taken from the first point',
         remarks,
     )
+
+
+def _without_gap(
+    values: NDArray[np.float64], usable: NDArray[np.bool_]
+) -> tuple[NDArray[np.float64], float]:
+    """Times with NaN for the smaller side of a gap that no sweep has, and that side's share."""
+    times = values[usable]
+    if len(times) < _GAP_POINTS:
+        return values, 0.0
+    sample = np.sort(times[:: max(len(times) // _GAP_SAMPLE, 1)])
+    gaps = np.diff(sample)
+    widest = int(gaps.argmax())
+    if gaps[widest] <= _GAP * (sample[-1] - sample[0]):
+        return values, 0.0
+    late = values > (sample[widest] + sample[widest + 1]) / 2.0
+    smaller = late if late[usable].mean() < 0.5 else ~late
+    return np.where(smaller, np.nan, values), float(smaller[usable].mean())
 
 
 def _unusable(note: str) -> PointTimes:

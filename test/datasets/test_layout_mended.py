@@ -110,3 +110,29 @@ def test_clouds_that_stay_skewed_are_remarked(times):
 
 def test_a_cloud_without_times_is_no_fault():
     assert scan_from_message(cloud(xyz(points=POINTS)), 'left').remarks == ()
+
+
+@pytest.mark.parametrize('code', ['i2', 'i4', 'f4', 'f8'])
+def test_millimetres_show_in_the_size_of_the_points(code):
+    near = MANY / 2.0
+    scan = scan_from_message(cloud(xyz(code, np.round(near * 1000.0))), 'left')
+    np.testing.assert_allclose(scan.points, near, atol=1e-3)
+    assert words(scan) == ['millimetres']
+
+
+def test_points_of_a_grid_are_metres():
+    grid = MANY + np.array([40_000.0, 12_000.0, 30.0])
+    scan = scan_from_message(cloud(xyz('f8', grid)), 'left')
+    assert scan.remarks == () and scan.points.max() > 30_000.0
+
+
+@pytest.mark.parametrize(('share', 'kept'), [(0.2, True), (0.4, False)])
+@pytest.mark.parametrize('absurd', [5.5, -3.0])
+def test_times_in_two_parts_are_no_sweep(share, kept, absurd):
+    times = np.linspace(0.0, 0.1, 400)
+    times[: int(400 * share)] = absurd
+    scan = scan_from_message(cloud(xyz(points=MANY) | {'time': ('f4', times)}), 'left')
+    assert words(scan) == ['absurd_times' if kept else 'not_deskewed']
+    assert len(scan.points) == (320 if kept else 400)
+    if kept:
+        np.testing.assert_allclose(scan.point_times, times[80:], atol=1e-6)
