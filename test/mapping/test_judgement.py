@@ -1,5 +1,8 @@
 """A map is judged by its factors, whole and while it grows."""
 
+import logging
+from dataclasses import replace
+
 import gtsam
 import numpy as np
 import pytest
@@ -14,7 +17,7 @@ from incremental_mapper.graph.factors import (
     pose_sigmas,
 )
 from incremental_mapper.graph.frontier import Frontier
-from incremental_mapper.mapping.judgement import FitWatch, judge_map, residuals
+from incremental_mapper.mapping.judgement import FitWatch, judge_map, judged, residuals
 from incremental_mapper.mapping.statistics import Totals
 from incremental_mapper.smoothing.graph_state import GraphState, PlacedCluster, PlacedFix
 from incremental_mapper.variables import pose_key
@@ -63,26 +66,28 @@ def straight(count, turned=0.0, fixes_off=0.0, until=None):
     return state
 
 
-def judged(state):
+def rules(state):
     return {item.rule: item for item in judge_map(state, state.values, Config())}
 
 
 def test_a_sound_map_has_no_finding():
-    assert judged(straight(120)) == {}
-    assert judged(GraphState()) == {}
+    assert rules(straight(120)) == {}
+    assert rules(GraphState()) == {}
 
 
 def test_a_robust_loss_does_not_hide_what_fixes_say():
     state = straight(120, fixes_off=5.0)
-    (fixes,) = [item for item in residuals(state.factors, state.values) if item.kind == 'gnss']
+    (fixes,) = [
+        item for item in residuals(judged(state.factors), state.values) if item.kind == 'gnss'
+    ]
     assert fixes.squared[-1] == pytest.approx(5.0**2 / 0.01 / 3)
     assert fixes.metres[-1] == pytest.approx(5.0)
-    found = judged(state)['gnss_misfit']
+    found = rules(state)['gnss_misfit']
     assert found.sensor == 'gnss' and '5.00 m' in found.text
 
 
 def test_of_lidars_that_drive_apart_only_the_cause_is_told():
-    found = judged(straight(120, turned=90.0))
+    found = rules(straight(120, turned=90.0))
     assert set(found) == {'lidars_disagree'}
     assert found['lidars_disagree'].sensor == 'left'
     assert found['lidars_disagree'].severity is Severity.ERROR
@@ -124,3 +129,12 @@ def test_wrong_extrinsics_end_with_status_1(map_light, light_drive):
     assert 'lidars_disagree' in rules
     last = [line for line in run.err.splitlines() if line.startswith(('error', 'warning'))][-1]
     assert last.startswith('error: ')
+
+
+def test_a_check_that_fails_costs_no_map(caplog):
+    state = straight(120)
+    broken = gnss_factor(pose_key(0), np.zeros(3), np.eye(3), np.zeros(3), 3.0, 'gnss', 0)
+    state.factors.append(replace(broken, describe=lambda _: {'covariance': np.zeros((3, 3))}))
+    with caplog.at_level(logging.WARNING, logger='incremental_mapper'):
+        assert judge_map(state, state.values, Config()) == []
+    assert 'a check of the map failed' in caplog.text

@@ -184,7 +184,7 @@ def test_nothing_but_unusable_scans(map_light, tmp_path):
 def test_fixes_alone_where_no_scan_has_a_point_in_range(map_light, light_drive, strategy):
     config = 'odometry:\n  min_range: 0.1\n  max_range: 0.2\n'
     run = map_light(light_drive, config=config, strategy=strategy)
-    assert run.status == 0
+    assert run.status == 1 and 'no_scan_used' in run.err
     counts = run.stats['input']['counts']
     assert run.stats['dropped'] == {
         side: {'no_points_in_range': counts[side]} for side in ('left', 'right')
