@@ -156,7 +156,7 @@ def _near(cloud: NDArray[np.floating], random: np.random.Generator) -> NDArray[n
     if len(cloud) > MORE * SAMPLE:  # most points of a cloud are near by
         chosen = cloud[random.integers(0, len(cloud), MORE * SAMPLE)]
     points = chosen[np.hypot(chosen[:, 0], chosen[:, 1]) < NEAR]
-    return points[:: len(points) // SAMPLE + 1].astype(np.float64)
+    return np.asarray(points[:: len(points) // SAMPLE + 1], dtype=np.float64)
 
 
 def _largest_plane(
