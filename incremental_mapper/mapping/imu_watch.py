@@ -153,12 +153,14 @@ class ImuWatch:
         return () if finding is None else (finding,)
 
     def _arrays(self) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-        """Stamps, rates and accelerations in time order, scaled, without absurd ones."""
+        """Stamps, rates and accelerations in time order, scaled, without absurd and frozen ones."""
         stamps = np.array([sample.stamp for sample in self._samples], dtype=np.int64)
         gyro = np.array([sample.gyro for sample in self._samples]).reshape(-1, 3)
         force = np.array([sample.acceleration for sample in self._samples]).reshape(-1, 3)
         order = np.argsort(stamps, kind='stable')
-        sensible = (np.abs(np.hstack([gyro, force])) < SENSIBLE).all(axis=1)
+        rows = np.hstack([gyro, force])
+        sensible = (np.abs(rows) < SENSIBLE).all(axis=1)
+        sensible[1:] &= (rows[1:] != rows[:-1]).any(axis=1)  # what is frozen says nothing
         sensible &= np.abs(stamps - stamps[len(stamps) // 2]) < NEAR
         keep = order[sensible[order]]
         settings = self._settings
