@@ -14,8 +14,8 @@ _PARTIAL = 0.6
 """Share of the turn that all clouds together cover, below which single ones are partial. In whole
 sweeps of KITTI, MulRan and the simulated drives it was 0.78 or more, in halves it is 0.5."""
 _OVERLAP = 0.5
-"""Share of a cloud's directions that the next cloud of a turning LiDAR has too, at most, where each
-is a part of the sweep. A LiDAR that looks one way covers the same each time."""
+"""Share of a cloud's directions that one of the next three clouds of a turning LiDAR has too, at
+most, where each is a part of the sweep. A LiDAR that looks one way covers the same each time."""
 _DENSE = 3.0
 """Points for each of the directions that a cloud covers; with fewer nothing can be told."""
 _ALTERNATE = 0.35
@@ -45,9 +45,14 @@ def partial_sweeps(clouds: Sequence[Points]) -> float | None:
     sizes = covered.sum(axis=1)
     points = np.array([len(cloud) for cloud in clouds])
     share = float(np.median(sizes) / max(covered.any(axis=0).sum(), 1))
-    with_next = (covered[:-1] & covered[1:]).sum(axis=1) / np.maximum(sizes[:-1], 1)
+    # Neighbours of narrow sectors share a direction, those beside them do not; of halves every
+    # other one is the same.
+    overlap = min(
+        float(np.median((covered[:-lag] & covered[lag:]).sum(axis=1) / np.maximum(sizes[:-lag], 1)))
+        for lag in (1, 2, 3)
+    )
     dense = bool((points >= _DENSE * sizes).mean() > 0.5)
-    return share if share < _PARTIAL and np.median(with_next) < _OVERLAP and dense else None
+    return share if share < _PARTIAL and overlap < _OVERLAP and dense else None
 
 
 def take_turns(clouds: Sequence[Points]) -> bool:

@@ -41,7 +41,7 @@ from incremental_mapper.datasets.sampling import SamplePlan, SensorKind, SensorS
 from incremental_mapper.datasets.sectors import NO_POINTS, SectorGatherer
 from incremental_mapper.datasets.sensor_settings import extrinsics_of, listed_lidars
 from incremental_mapper.datasets.source import SourceInfo
-from incremental_mapper.datasets.static_transforms import STATIC_TOPIC
+from incremental_mapper.datasets.static_transforms import STATIC_TOPIC, clean
 from incremental_mapper.datasets.topics import (
     CLOUDS,
     IMU,
@@ -103,7 +103,11 @@ class BagSource:
             gravity = config.preintegration.gravity
             unsound = look_at_imus(reader, imus, gravity) if several else {}
             copies = copied_from(
-                {name: look.topic() for name, look in looks.items() if len(look.frames) == 1}
+                {
+                    name: look.topic()
+                    for name, look in looks.items()
+                    if len(look.frames) == 1 and not {*map(clean, look.frames)} & {*MAP_FRAMES}
+                }
             )
             self._choice = choose_topics(path, self._topics, config, counts, unsound, copies)
             self._frames = {

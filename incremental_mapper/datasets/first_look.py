@@ -99,14 +99,15 @@ def look_at_clouds(reader: BagReader, topic: Topic) -> TopicLook:
             whole[stamp] = points
         clouds.append(_sample(points))
     one = len(frames) == 1
+    share = partial_sweeps(clouds) if one and partial is not None else None
     return TopicLook(
         dict(frames),
         times,
         {frame: float(np.median(found)) for frame, found in by_frame.items()},
         sizes,
         whole,
-        partial_sweeps(clouds) if one and partial is not None else None,
-        one and take_turns(clouds),
+        share,
+        one and share is None and take_turns(clouds),
     )
 
 

@@ -264,6 +264,7 @@ def test_parts_of_sweeps_are_gathered(tmp_path, parts):
     source = open_source(sectors(tmp_path / 'bag', parts, 6), {})
     (line,) = said(source, 'sector_clouds')
     assert '/scan' in line and source.info.settings['lidars']['scan']['sectors'] is True
+    assert not said(source, 'two_lidars_one_frame')
     sweeps = list(source.measurements())
     assert source.drops == {} and len(sweeps) >= 3
     for sweep in sweeps[:-1]:
@@ -297,3 +298,19 @@ def test_packets_are_named_with_what_converts_them(tmp_path):
         open_source(vendor_bag(tmp_path / 'packets', False), {})
     source = open_source(vendor_bag(tmp_path / 'both', True), {})
     assert len(said(source, 'vendor_message')) == 1
+
+
+def test_copies_are_left_out_beside_a_map_that_was_made_of_the_same(tmp_path):
+    tf = transforms(('base_link', 'lidar', (1, 0, 2), (0, 0, 0, 1)))
+    events = [('/tf_static', tf)]
+    for i in range(14):
+        stamp, points = START + i * 100 * MS, ROOM[i:] + 0.1 * i
+        events += [
+            ('/points', framed(CLOUD, stamp, 'lidar', points)),
+            ('/filtered', framed(CLOUD, stamp, 'lidar', points[points[:, 2] > 0])),
+            ('/cloud_registered', framed(CLOUD, stamp, 'map', points + 40.0)),
+        ]
+    source = open_source(write(tmp_path / 'bag', events), {})
+    assert source.info.counts == {'points': 14}
+    assert len(said(source, 'copied_clouds')) == len(said(source, 'map_frame')) == 1
+    assert source.info.findings == ()
