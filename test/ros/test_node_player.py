@@ -136,6 +136,22 @@ def test_node_makes_of_a_played_bag_what_map_makes_of_it(start, bag, tmp_path):
     programs.end_node()
 
 
+def test_player_that_is_started_with_the_node_plays_all_of_it(start, light_bag):
+    """Without any option; the node has only just been started, and does not listen yet."""
+    programs = start(ROOMY)
+    player = programs._start('player', player_command(light_bag))
+    assert 'listening on' not in programs.text('node')
+    assert player.wait(120.0) == 0, programs.text('player')
+    client, count = programs.client, len(read_inputs(light_bag))
+
+    def arrived():
+        parts = client.fresh_diagnostics().values()
+        return sum(part['received'] for part in parts if 'topic' in part)
+
+    programs.wait(lambda: arrived() == count, 'all messages')
+    assert 'listening on /points_left, /points_right, /imu, /fix' in programs.text('node')
+
+
 @pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGINT])
 def test_signal_while_messages_flow_saves_a_complete_map(start, light_bag, tmp_path, number):
     saved = tmp_path / 'maps' / 'last'
