@@ -132,8 +132,10 @@ class OdometrySettings(Section):
     """A scan with fewer points after down-sampling gets no odometry."""
     min_overlap: float = Field(default=0.7, ge=0.0, le=1.0)
     """A gicp match in which a smaller share of the points finds a partner is rejected."""
-    max_gap: float = Field(default=1.0, gt=0.0, le=60.0)
-    """Scans of one LiDAR that are further apart in seconds are not matched."""
+    max_gap: float = Field(default=30.0, gt=0.0, le=60.0)
+    """Scans of one LiDAR that are further apart in seconds are not matched. Over more than 1 s
+    they are where the match is certain: gicp finds it from several sides, and in both
+    directions."""
     processes: bool = False
     """Match each LiDAR's scans in a process of its own: the same results, sooner."""
     deskew: bool = True

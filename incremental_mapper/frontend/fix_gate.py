@@ -163,6 +163,8 @@ class FixGate:
                 for stamp in track.stamps:
                     self._suspect('datum_outlier', stamp, far)
                 track.stamps.clear()
+        for stamp in self._abandoned:
+            self._suspect('datum_outlier', stamp, 0.0)
         self._abandoned.clear()
         if main.datum == old:
             return lambda enu: enu

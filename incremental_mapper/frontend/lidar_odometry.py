@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from incremental_mapper.candidates.model import CoreKind, CoreMeasurement
 from incremental_mapper.config import Config, OdometrySettings
 from incremental_mapper.errors import MeasurementError
+from incremental_mapper.frontend.gap_matching import LONG
 from incremental_mapper.frontend.preprocessing import STANDING, Sweep, Twist, deskew, to_base
 from incremental_mapper.frontend.registration import make_matcher
 from incremental_mapper.measurements import NANOSECONDS, LidarScan
@@ -21,6 +22,9 @@ from incremental_mapper.voxels import thin
 
 MAX_SURPRISE = 1.5
 """Metres between two scans that a match may differ from steady motion: no car brakes like that."""
+BRAKING, AT_ONCE = 4.0, 0.3
+"""m/s^2 by which a vehicle may change its speed beside, where scans are further apart than so many
+seconds."""
 MAX_REJECTED = 3
 """After so many bad matches in a row it is the scan they were held against that was bad."""
 RESTARTS = 4
@@ -142,6 +146,8 @@ class LidarChain:
             gap = None
         if gap is None:
             return self._start(sweep)
+        if gap > LONG:
+            return self._match_over_gap(sweep, gap)
         if not self._matched:
             return self._first_match(sweep, gap)
         return self._next_match(sweep, gap)
@@ -174,6 +180,19 @@ class LidarChain:
         motion = self._accept(sweep, gap)
         return self._reject(sweep) if motion is None else self._continue(sweep, motion)
 
+    def _match_over_gap(self, sweep: Sweep, gap: float) -> ChainLink:
+        """Link scans that are seconds apart where that is certain, else start anew."""
+        moment = sweep.middle
+        gap += moment - self._moment
+        guess = self._twist.over(gap)
+        match = self._matcher.match_over_gap(deskew(sweep, self._twist, moment), guess)
+        motion = None if match is None else self._believe(match.T_previous_current, gap, moment)
+        if motion is None:
+            self._note('no certain match over a gap')
+            self._begin()
+            return self._start(sweep)
+        return self._continue(sweep, motion)
+
     def _accept(self, sweep: Sweep, gap: float) -> gtsam.Pose3 | None:
         """Match a scan; None where the match is not to be believed, else the twist follows it."""
         moment = sweep.middle
@@ -181,14 +200,21 @@ class LidarChain:
         match = self._matcher.match(deskew(sweep, self._twist, moment), self._twist.over(gap))
         if match is None or match.overlap < self._settings.min_overlap:
             return None
-        tangent = gtsam.Pose3.Logmap(match.T_previous_current) / gap
+        return self._believe(match.T_previous_current, gap, moment)
+
+    def _believe(
+        self, T_previous_current: gtsam.Pose3, gap: float, moment: float
+    ) -> gtsam.Pose3 | None:
+        """The motion from stamp to stamp; None where no vehicle makes it."""
+        tangent = gtsam.Pose3.Logmap(T_previous_current) / gap
         twist = Twist(linear=tangent[3:], angular=tangent[:3])
         surprise = float(np.linalg.norm(twist.linear - self._twist.linear)) * gap
-        if self._matched and surprise > MAX_SURPRISE:
+        allowed = MAX_SURPRISE + 0.5 * BRAKING * max(gap - AT_ONCE, 0.0) ** 2
+        if self._matched and surprise > allowed:
             return None
         before, self._twist = self._twist if self._matched else twist, twist
         start, end = before.over(self._moment), twist.over(-moment)
-        return start.compose(match.T_previous_current).compose(end)
+        return start.compose(T_previous_current).compose(end)
 
     def _continue(self, sweep: Sweep, motion: gtsam.Pose3) -> ChainLink:
         previous, self._stamp, self._moment = self._stamp, sweep.stamp, sweep.middle

@@ -10,6 +10,7 @@ import small_gicp
 from numpy.typing import NDArray
 
 from incremental_mapper.config import OdometryMethod, OdometrySettings
+from incremental_mapper.frontend.gap_matching import ScanCloud, match_over_gap
 from incremental_mapper.geometry import transform_points
 from incremental_mapper.voxels import thin
 
@@ -42,6 +43,9 @@ class ScanMatcher(Protocol):
         ``guess`` is T_previous_current as far as it is known. The first scan gives None.
         """
 
+    def match_over_gap(self, points: NDArray[np.float64], guess: gtsam.Pose3) -> Match | None:
+        """As ``match`` with a scan seconds later; None where no match is certain."""
+
 
 class KissMatcher:
     """KISS-ICP: point-to-point against its own local map, the paper's front end.
@@ -73,6 +77,10 @@ class KissMatcher:
         if not np.isfinite(motion).all():
             return Match(guess, overlap=0.0)
         return Match(gtsam.Pose3(motion))
+
+    def match_over_gap(self, points: NDArray[np.float64], guess: gtsam.Pose3) -> Match | None:
+        """See ScanMatcher: KISS-ICP does not tell how certain it is."""
+        return None
 
 
 class GicpMatcher:
@@ -114,6 +122,20 @@ class GicpMatcher:
         if settings.local_map_scans > 1:
             self._window.append(cloud.points()[:, :3])
         return match
+
+    def match_over_gap(self, points: NDArray[np.float64], guess: gtsam.Pose3) -> Match | None:
+        """See ScanMatcher."""
+        cloud, tree = self._with_covariances(self._near(points))
+        before = ScanCloud(*self._recent[0])
+        found = match_over_gap(before, ScanCloud(cloud, tree), guess, self._settings)
+        if found is None:
+            return None
+        self._recent.append((cloud, tree))
+        # What was near seconds ago is hardly seen any more.
+        self._window.clear()
+        if self._settings.local_map_scans > 1:
+            self._window.append(cloud.points()[:, :3])
+        return Match(*found)
 
     def _near(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """The points (N, 3) that are near enough; all of them where those are too few."""
