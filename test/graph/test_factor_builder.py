@@ -115,7 +115,7 @@ def test_without_compensation_members_count_as_measured_at_their_cluster():
 
 def test_fix_is_inflated_in_the_plane_and_keeps_its_covariance():
     problem = problem_of({50 * MS: {'gps'}})
-    inflated = dict.fromkeys(problem.inputs.fix_inflation, 3.0)
+    inflated = dict.fromkeys(problem.inputs.fix_inflation, (3.0, 0.0))
     problem.inputs.fix_inflation.update(inflated)
     candidate = merged(problem, (0, 0))
     (factor,) = of_kind(problem.factors.factors(candidate), FactorKind.GNSS)

@@ -107,7 +107,7 @@ def test_lidar_that_dies_and_returns(map_light, light_copy):
     keep_stamps(light_copy, 'right', lambda number: not 5 <= number < 16)
     run = map_light(light_copy, strategy='mom')
     assert run.status == 0
-    assert run.stats['notes'] == {'right: gap too long to match': 1}
+    assert run.stats['notes'] == {'right: no certain match over a gap': 1}
     assert run.stats['components'] == 1
     odometry = [f for f in run.factors('odometry') if f['sensor'] == 'right']
     kept = stamps(table(light_copy, 'VLP_right_stamp'))
