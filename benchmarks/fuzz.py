@@ -1,7 +1,7 @@
 """Hostile messages among those of a drive: no crash, flat memory, and the map that it gives alone.
 
     python benchmarks/fuzz.py [--count 20000] [--seed 1] [--seconds 5] [--only map|node]
-                              [--rate 0.5] [--domain N] [--out FOLDER]
+                              [--rate 0.1] [--domain N] [--out FOLDER]
 
 A short simulated drive is mapped alone and with hostile messages among its own: clouds whose
 layout is nonsense, values that are no numbers, stamps of other centuries, data that are cut or
@@ -35,11 +35,13 @@ from incremental_mapper.datasets.truth import read_truth
 from incremental_mapper.results.trajectory_errors import trajectory_errors
 from incremental_mapper.trajectory import match_truth, read_tum
 
-NOISE = 0.02
-"""Metres between two maps of the same drive that differ in windows and candidates: the RMS of the
-distance between trajectories of one drive under five seeds of thinning is 0.01 to 0.02."""
+NOISE = 0.025
+"""Metres. RMS between the trajectories of one drive of which the first 0 to 3 scans were left out, so
+that its windows begin elsewhere: 0.010 to 0.022 in the six pairs of four runs."""
 GROWTH = 60.0
 """Megabytes by which the hostile run's memory may be above that of the drive alone."""
+ALONE_RATE = 0.5
+"""Of the drive's time, at which it is sent where nothing else is among it."""
 LOOK = 0.2
 """Seconds between two looks at a program's memory."""
 TYPES = {
@@ -94,9 +96,12 @@ class Memory:
 
 
 def write_bag(sent: Iterable[Sent], recording: Recording, folder: Path) -> Path:
-    """A bag of raw messages, with the drive's settings."""
+    """A bag of raw messages, with the drive's settings.
+
+    It is one that is read message by message; MCAP would be one chunk, which is read as a whole.
+    """
     connections: dict[str, Any] = {}
-    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+    with Writer(folder, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
         for item in sent:
             if item.topic not in connections:
                 kind = TYPES[item.topic]
@@ -270,7 +275,7 @@ def main() -> int:
     parser.add_argument('--seed', type=int, default=1, metavar='N')
     parser.add_argument('--seconds', type=float, default=5.0, metavar='S')
     parser.add_argument('--only', choices=['map', 'node'])
-    parser.add_argument('--rate', type=float, default=0.5, help='of the drive, into the node')
+    parser.add_argument('--rate', type=float, default=0.1, help='of the drive, into the node')
     parser.add_argument('--domain', type=int, metavar='N', help='ROS domain; a free one by default')
     parser.add_argument('--out', type=Path, metavar='FOLDER', help='keep everything here')
     args = parser.parse_args()
@@ -305,8 +310,11 @@ def run(args: argparse.Namespace, work: Path) -> int:
 
         domain = args.domain or free_domain()
         results = [
-            run_node(sent, bags[0] / SETTINGS_FILE, work / f'node_{name}', domain, args.rate)
-            for name, sent in (('alone', alone), ('among', among))
+            run_node(sent, bags[0] / SETTINGS_FILE, work / f'node_{name}', domain, rate)
+            for name, sent, rate in (
+                ('alone', alone, ALONE_RATE),
+                ('among', among, args.rate),
+            )
         ]
         good &= report('node', results[0], results[1], truth)
     print('\n' + ('as it should be' if good else 'NOT as it should be'))

@@ -55,13 +55,14 @@ def mixed(recording: Recording, count: int, seed: int) -> Iterator[Sent]:
     """The messages of a drive, truth included, with ``count`` hostile ones among them."""
     rng = np.random.default_rng(seed)
     items = recording.items
-    after = np.bincount(rng.integers(0, len(items), count), minlength=len(items))
+    first = next(i for i, item in enumerate(items) if item[1] in KINDS)
+    after = np.bincount(rng.integers(first, len(items), count), minlength=len(items))
     newest: dict[str, Any] = {}
     for number, (logged, topic, message) in enumerate(items):
         yield Sent(logged, topic, '', bytes(STORE.serialize_cdr(message, message.__msgtype__)))
         if topic in KINDS:
             newest[topic] = message
-        for _ in range(after[number] if newest else 0):
+        for _ in range(after[number]):
             target = str(rng.choice(list(newest)))
             yield _hostile(rng, logged, target, newest[target])
 

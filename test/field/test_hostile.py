@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from fuzz import TYPES, apart, write_bag
+from fuzz import NOISE, TYPES, apart, write_bag
 from lies.hostile import KINDS, mixed, valid
 from lies.recording import FIX, IMU, LEFT, RIGHT, STORE
 
@@ -66,4 +66,4 @@ def test_map_is_that_of_the_drive_alone(recording, map_light, tmp_path, seed):
         missed = {*runs[0].used(sensor)} - {*runs[1].used(sensor)}
         assert len(missed) <= 1, sensor
     rms, _, count = apart(*(run.folder / 'trajectory.tum' for run in runs))
-    assert count > 20 and rms < 0.02
+    assert count > 20 and rms < NOISE

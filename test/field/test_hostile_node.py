@@ -6,7 +6,7 @@ import pytest
 
 pytest.importorskip('rclpy', reason='rclpy is not installed (extra "ros")')
 
-from fuzz import apart, write_bag
+from fuzz import NOISE, apart, write_bag
 from lies.hostile import KINDS, mixed, valid
 from ros_helpers import Recorded
 
@@ -34,4 +34,4 @@ def test_node_maps_the_drive_among_them(recording, start_node, map_light, tmp_pa
         missed = [stamp for stamp in alone.used(sensor) if (sensor, stamp) not in members]
         assert len(missed) <= 2, sensor
     rms, _, count = apart(alone.folder / 'trajectory.tum', saved / 'trajectory.tum')
-    assert count > 20 and rms < 0.02
+    assert count > 20 and rms < NOISE
