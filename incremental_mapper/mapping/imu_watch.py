@@ -161,7 +161,8 @@ class ImuWatch:
         rows = np.hstack([gyro, force])
         sensible = (np.abs(rows) < SENSIBLE).all(axis=1)
         sensible[1:] &= (rows[1:] != rows[:-1]).any(axis=1)  # what is frozen says nothing
-        sensible &= np.abs(stamps - stamps[len(stamps) // 2]) < NEAR
+        # The median: the one that came in the middle may be a stray itself.
+        sensible &= np.abs(stamps - stamps[order[len(order) // 2]]) < NEAR
         keep = order[sensible[order]]
         settings = self._settings
         return (

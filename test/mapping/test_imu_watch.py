@@ -109,3 +109,11 @@ def test_what_is_kept_does_not_grow_with_the_drive(monkeypatch):
     for at in np.arange(0.3, 9.0, 0.1):
         watch.matches([match(at)])
         assert len(watch._matches) < 60
+
+
+def test_stray_stamps_in_the_middle_hide_nothing():
+    stream = imu(rate=180.0 / np.pi)
+    middle = len(stream) // 2
+    strays = [replace(stream[middle], stamp=START - 10**17 + number) for number in range(40)]
+    found = watched([*stream[:middle], *strays, *stream[middle:]])
+    assert {one.rule for one in found} == {one.rule for one in watched(stream)} != set()
