@@ -36,8 +36,8 @@ from incremental_mapper.results.trajectory_errors import trajectory_errors
 from incremental_mapper.trajectory import match_truth, read_tum
 
 NOISE = 0.025
-"""Metres. RMS between the trajectories of one drive of which the first 0 to 3 scans were left out, so
-that its windows begin elsewhere: 0.010 to 0.022 in the six pairs of four runs."""
+"""Metres. RMS between the trajectories of one drive without its first 0 to 3 scans, so that windows
+begin elsewhere: 0.010 to 0.022 in the six pairs of four runs."""
 GROWTH = 60.0
 """Megabytes by which the hostile run's memory may be above that of the drive alone."""
 ALONE_RATE = 0.5
