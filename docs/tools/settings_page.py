@@ -64,7 +64,7 @@ UNITS = (
 )
 """Words of a description, the most special first, and the unit that they tell."""
 TUNING = Path(__file__).resolve().parents[1] / 'tuning.md'
-NO_UNIT = ('odometry.min_overlap', 'mom.eigenvalue_ratio')
+NO_UNIT = ('odometry.min_overlap', 'mom.eigenvalue_ratio', 'selection.tie_confidence')
 """Numbers with a fraction that are ratios."""
 
 

@@ -276,7 +276,7 @@ def _likeliest(
     if sound and passed:
         findings.append(other_imu(best.name, passed, [topic.name for topic in others]))
     listed = ', '.join(topic.name for topic in others)
-    more = f' has more messages than {listed}' if others and not passed else ''
+    more = f' has more messages than {listed}' if others and not (sound and passed) else ''
     notes.append(f'{name}: topic {best.name}{more}')
     return best
 

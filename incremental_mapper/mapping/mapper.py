@@ -187,7 +187,6 @@ class Mapper:
                 self._totals.solver_failures += 1
             else:
                 values = solution.values
-        whole = outcome_findings(self._outcome())
         clusters = tuple(self._state.clusters)
         poses = [values.atPose3(pose_key(placed.id)).matrix() for placed in clusters]
         stamps = np.array([placed.cluster.stamp for placed in clusters], dtype=np.int64)
@@ -200,7 +199,10 @@ class Mapper:
             fixes=self._fixes(),
             rows=tuple(self._rows),
             statistics=self.statistics,
-            findings=self._watch.final([*judge_map(self._state, values, self.config), *whole]),
+            findings=self._watch.final(
+                lambda: judge_map(self._state, values, self.config),
+                lambda: outcome_findings(self._outcome()),
+            ),
             failed=tuple(self._records),
         )
 
@@ -344,7 +346,7 @@ class Mapper:
         # Samples after the last cluster stamp belong to the next window.
         frontier = self._state.frontier
         self._series = self._series.since(min(frontier.head_stamp, frontier.newest_stamp))
-        self._watch.fit.window(self._state)
+        self._watch.grown(self._state)
         frame.seconds['append'] = time.perf_counter() - started
         return self._close(frame, items, choice, committed)
 

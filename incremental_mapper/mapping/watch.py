@@ -1,8 +1,11 @@
 """Watches the measurements and the map while it is made, and asks the rules of ``checks``."""
 
-from collections.abc import Iterable, Sequence
+import functools
+import logging
+from collections.abc import Callable, Iterable, Sequence
+from typing import Concatenate, ParamSpec
 
-from incremental_mapper.checks.finding import Finding, ranked
+from incremental_mapper.checks.finding import Finding, Severity, ranked
 from incremental_mapper.config import Config, Tree
 from incremental_mapper.frontend.fix_gate import FixGate
 from incremental_mapper.frontend.front_end import Prepared
@@ -12,6 +15,26 @@ from incremental_mapper.mapping.presence_watch import PresenceWatch
 from incremental_mapper.mapping.window_buffer import Window
 from incremental_mapper.measurements import ImuSample, Measurement
 from incremental_mapper.settings import merge
+from incremental_mapper.smoothing.graph_state import GraphState
+
+LOGGER = logging.getLogger('incremental_mapper')
+Arguments = ParamSpec('Arguments')
+
+
+def _guarded(
+    look: Callable[Concatenate['Watch', Arguments], None],
+) -> Callable[Concatenate['Watch', Arguments], None]:
+    """A look that must not cost the map: what it raises is logged once and told of."""
+
+    @functools.wraps(look)
+    def guarded(watch: 'Watch', /, *args: Arguments.args, **more: Arguments.kwargs) -> None:
+        try:
+            look(watch, *args, **more)
+        # The evidence is whatever a recording holds, and the map is worth more than any rule.
+        except Exception as error:
+            watch.failed(error)
+
+    return guarded
 
 
 class Watch:
@@ -30,22 +53,35 @@ class Watch:
         self._gate: FixGate | None = None
         self._presence = PresenceWatch()
 
+    def failed(self, error: Exception) -> None:
+        """Tell of a rule that raised; must be called while it is handled."""
+        known = any(finding.rule == 'check_failed' for finding in self._findings)
+        level = logging.DEBUG if known else logging.ERROR
+        LOGGER.log(level, 'a check of the recording failed; the map goes on', exc_info=True)
+        text = f'a check of the recording failed ({" ".join(repr(error).split())[:200]})'
+        remedy = 'the map was made without it; the log has the trace, please report it'
+        self._findings.append(Finding('check_failed', Severity.WARNING, '', text, remedy))
+
+    @_guarded
     def measurement(self, measurement: Measurement) -> None:
         """Look at a measurement as it comes in."""
         if isinstance(measurement, ImuSample):
             for finding in self._imu.sample(measurement):
                 self.add(finding)
 
+    @_guarded
     def window(self, window: Window) -> None:
         """Look at what a closed window holds."""
         self._presence.window(window)
         self._imu.used(window.imu)
 
+    @_guarded
     def prepared(self, prepared: Sequence[Prepared]) -> None:
         """Look at what the front end made of a window's core measurements."""
         for finding in self._imu.matches(prepared):
             self.add(finding)
 
+    @_guarded
     def fixes(self, gate: FixGate) -> None:
         """Look at what the gate made of a window's fixes."""
         self._gate = gate
@@ -53,6 +89,12 @@ class Watch:
         if certain is not None:
             self.add(certain)
 
+    @_guarded
+    def grown(self, state: GraphState) -> None:
+        """Look at the newest stretch of G(t)."""
+        self.fit.window(state)
+
+    @_guarded
     def end(self) -> None:
         """Decide what waits for more measurements: none will come."""
         for finding in self._imu.end():
@@ -66,21 +108,35 @@ class Watch:
 
     def findings(self) -> tuple[Finding, ...]:
         """What was found so far, the worst first; its cost does not grow with the drive."""
-        return ranked(
-            [*self._findings, *self._of_fixes(), *self.fit.found, *self._presence.so_far()]
-        )
+        more = [
+            *self._asked(self._of_fixes),
+            *self.fit.found,
+            *self._asked(self._presence.so_far),
+        ]
+        return ranked([*self._findings, *more])
 
     def mended(self) -> tuple[Finding, ...]:
         """The findings that ``mend`` follows from."""
         return ranked(found for found in self._findings if found.changes)
 
-    def final(self, judged: Iterable[Finding] = ()) -> tuple[Finding, ...]:
+    def final(self, *judges: Callable[[], Iterable[Finding]]) -> tuple[Finding, ...]:
         """The same with what only a whole map shows, as if it ended here.
 
         Args:
-            judged: What ``judge_map`` found, in place of what was found while the map grew.
+            judges: What judges the map, in place of what was found while the map grew.
         """
-        return ranked([*self._findings, *self._of_fixes(), *judged, *self._presence.findings()])
+        asked = (self._of_fixes, *judges, self._presence.findings)
+        more = [finding for judge in asked for finding in self._asked(judge)]
+        return ranked([*self._findings, *more])
+
+    def _asked(self, judge: Callable[[], Iterable[Finding]]) -> tuple[Finding, ...]:
+        """What a judge finds; nothing where it raises, which is told of."""
+        try:
+            return tuple(judge())
+        # As in _guarded.
+        except Exception as error:
+            self.failed(error)
+            return ()
 
     def _of_fixes(self) -> tuple[Finding, ...]:
         return () if self._gate is None else self._gate.findings()
