@@ -224,7 +224,12 @@ def _known_covariance(
         return None, remarks
     matrix: Vector = np.asarray(covariance, dtype=np.float64).reshape(3, 3)
     if not np.isfinite(matrix[:2, :2]).all() or not (np.diag(matrix)[:2] > 0).all():
-        return None, remarks
+        east, north = np.diag(matrix)[:2]
+        text = (
+            f'variances {east:g} and {north:g} m^2, said to be known, cannot be: '
+            'fixes.default_sigma is used'
+        )
+        return None, (*remarks, Remark('no_variance', text))
     if math.isfinite(altitude) and np.isfinite(matrix).all() and matrix[2, 2] > 0:
         return matrix, remarks
     flat: Vector = np.zeros((3, 3))

@@ -97,9 +97,21 @@ def _lidar(item: SensorUse) -> Finding | None:
 def _other(item: SensorUse) -> Finding | None:
     if item.offered == 0:
         return _silent(item) if item.configured else None
-    if item.used or item.offered < FEW or item.dropped.get(SWITCHED_OFF):
+    if item.offered < FEW or item.dropped.get(SWITCHED_OFF):
         return None
     imu = item.kind == 'imu'
+    lost = sum(item.dropped.values())
+    if item.used and imu and lost > MOSTLY * item.offered:
+        return Finding(
+            'sensor_mostly_unused',
+            Severity.WARNING,
+            item.name,
+            f'{lost} of {item.offered} samples were left out ({_counts(item)})',
+            'look up the reasons on the page of messages; duplicate_stamp: the driver must not '
+            'round its stamps',
+        )
+    if item.used:
+        return None
     what = (
         'samples came in, and none is in a span of the map'
         if imu

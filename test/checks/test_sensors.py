@@ -52,3 +52,11 @@ def test_an_imu_that_is_switched_off_is_not_missed():
 
 def test_a_few_lost_scans_are_no_matter():
     assert rules(replace(LEFT, used=45)) == {}
+
+
+def test_imu_of_which_most_samples_were_left_out():
+    rounded = SensorUse('imu', 'imu', 536, 40, {'duplicate_stamp': 480})
+    found = rules(LEFT, rounded)['sensor_mostly_unused', 'imu']
+    assert '480 of 536' in found.text and 'duplicate_stamp' in found.text
+    few = SensorUse('imu', 'imu', 536, 40, {'duplicate_stamp': 20})
+    assert rules(LEFT, few) == rules(LEFT, IMU) == {}

@@ -42,7 +42,15 @@ def test_what_is_wrong_with_the_vertical_costs_the_vertical_only(altitude, covar
 def test_a_whole_fix_is_not_remarked_and_a_bad_horizontal_is_unknown():
     assert fix().remarks == () and fix(covariance=None).remarks == ()
     bad = fix(covariance=np.diag([NAN, 0.09, 0.25]))
-    assert bad.covariance is None and bad.remarks == ()
+    assert bad.covariance is None
+    assert [remark.reason for remark in bad.remarks] == ['no_variance']
+
+
+def test_variances_of_zero_that_are_said_to_be_known_are_not():
+    zero = fix(covariance=np.zeros((3, 3)))
+    assert zero.covariance is None
+    assert [remark.reason for remark in zero.remarks] == ['no_variance']
+    assert 'fixes.default_sigma' in zero.remarks[0].text
 
 
 def test_without_altitude_and_covariance_the_default_is_horizontal():
