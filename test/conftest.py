@@ -67,9 +67,17 @@ class MapRun:
         return [factor for factor in self.graph['factors'] if factor['kind'] == kind]
 
     def used(self, sensor):
-        """Stamps of the sensor's measurements that are in the graph."""
+        """Stamps of the sensor's measurements that are in the graph.
+
+        A fix that later ones refuted leaves its cluster's pose behind, and no factor.
+        """
         members = (member for item in self.graph['clusters'] for member in item['members'])
-        return sorted(item['stamp_ns'] for item in members if item['sensor'] == sensor)
+        fixes = {factor['stamps_ns'][0] for factor in self.factors('gnss')}
+        return sorted(
+            item['stamp_ns']
+            for item in members
+            if item['sensor'] == sensor and (item['kind'] != 'gnss' or item['stamp_ns'] in fixes)
+        )
 
     def assert_refused(self, *words):
         """Exit status 1, one line on stderr that holds ``words``, and no output."""
