@@ -12,8 +12,10 @@ from ros_helpers import Recorded
 
 
 def test_node_maps_the_drive_among_them(recording, start_node, map_light, tmp_path):
-    alone = map_light(write_bag(valid(recording), recording, tmp_path / 'alone'))
-    session = start_node()
+    # Base does not choose, so that what differs comes from the messages.
+    bag = write_bag(valid(recording), recording, tmp_path / 'alone')
+    alone = map_light(bag, strategy='base')
+    session = start_node({'selection': {'strategy': 'base'}})
     session.play(
         [
             Recorded(sent.logged, sent.topic, sent.data)
