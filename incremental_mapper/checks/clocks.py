@@ -47,6 +47,8 @@ _BINS = 16
 _PACE = 0.02
 """Record times that run so differently from the stamps are of a playback."""
 _SAME_PACE = 1.25
+_STANDING = 0.1
+"""Record times that pass so much slower than the stamps of every sensor stand still."""
 _YOUNG = 10 * 366 * 86400 * NANOSECONDS
 """A stamp before 1980 counts from power-up."""
 
@@ -123,6 +125,10 @@ def _lags(clocks: Sequence[SensorClock]) -> list[_Lag] | None:
         lags.append(_lag(clock, clock.received))
     # A converter that has no record times writes the stamps in their place.
     if all(not lag.lags.any() for lag in lags):
+        return None
+    # Or one moment for all of them.
+    spans = [(np.ptp(clock.received), np.ptp(clock.stamps)) for clock in clocks]
+    if all(passed < _STANDING * moved for passed, moved in spans if moved):
         return None
     paces = [lag.pace for lag in lags if np.isfinite(lag.pace)]
     if paces and not 0.1 < min(paces) <= max(paces) < 10.0:

@@ -64,7 +64,12 @@ def folder(made):
     return [SensorClock(c.sensor, c.stamps, None, c.offset, c.chosen) for c in made]
 
 
-@pytest.mark.parametrize('form', [list, copied, folder])
+def of_one_moment(made):
+    """The same as a converter writes it that has no record times either, and writes zeros."""
+    return [SensorClock(c.sensor, c.stamps, 0 * c.stamps, c.offset, c.chosen) for c in made]
+
+
+@pytest.mark.parametrize('form', [list, copied, folder, of_one_moment])
 @pytest.mark.parametrize(
     'names', [('left',), ('left', 'imu'), ('left', 'right', 'gnss'), tuple(RATES)]
 )
