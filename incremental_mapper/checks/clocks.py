@@ -118,16 +118,16 @@ def clock_findings(clocks: Sequence[SensorClock], by_spans: bool = True) -> tupl
 
 def _lags(clocks: Sequence[SensorClock]) -> list[_Lag] | None:
     """Lags of the sensors, or None where the record times tell nothing."""
-    lags = []
+    lags, spans = [], []
     for clock in clocks:
         if clock.received is None:
             return None
         lags.append(_lag(clock, clock.received))
+        spans.append((np.ptp(clock.received), np.ptp(clock.stamps)))
     # A converter that has no record times writes the stamps in their place.
     if all(not lag.lags.any() for lag in lags):
         return None
     # Or one moment for all of them.
-    spans = [(np.ptp(clock.received), np.ptp(clock.stamps)) for clock in clocks]
     if all(passed < _STANDING * moved for passed, moved in spans if moved):
         return None
     paces = [lag.pace for lag in lags if np.isfinite(lag.pace)]
