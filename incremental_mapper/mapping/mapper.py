@@ -19,6 +19,7 @@ from incremental_mapper.config import Config, Tree
 from incremental_mapper.errors import MapperError
 from incremental_mapper.frontend.front_end import FrontEnd, Preparation, Prepared
 from incremental_mapper.frontend.imu_preintegration import EMPTY_SERIES, preintegration_parameters
+from incremental_mapper.frontend.lidar_odometry import PreparedScan
 from incremental_mapper.map.store import make_store
 from incremental_mapper.mapping.base_count import BaseCount
 from incremental_mapper.mapping.commit import NOTHING, Committed, commit
@@ -58,6 +59,11 @@ class _Frame:
     end: int
     imu: int
     seconds: dict[str, float]
+
+
+def _loose(item: Prepared) -> bool:
+    """Whether it is a scan without a match to the one before, and none for the next one."""
+    return isinstance(item, PreparedScan) and item.previous is None and not item.usable
 
 
 class Mapper:
@@ -334,6 +340,14 @@ class Mapper:
             if not force and waited < self.config.window.max_carry:
                 self._carried = items
                 return self._close(frame, items, choice)
+            held = [item for item in items if not _loose(item)]
+            if self._state.clusters and len(held) < len(items):
+                # A guess may hold a scan that others are matched to, not one that tells nothing.
+                self._failed.update(
+                    (item.core.sensor, 'unmatched') for item in items if _loose(item)
+                )
+                self._carried = held
+                return self._window([], frame, force)
             newest = self._state.frontier.newest
             pose = None if newest is None else self._state.pose(newest)
             choice = bridged(choice, problem, pose)

@@ -218,8 +218,10 @@ def test_first_window_that_can_only_be_bridged_leaves_the_graph_connected(strate
         mapper.push(LidarScan(epoch + 100 * i * MS, 'left', points))
     stats = mapper.finish().stats
     assert stats['unused_measurements'] == 0
-    assert stats['clusters'] == 8
-    assert stats['bridges'] == 7
+    # The map begins with a guess; later ones would hold nothing but what they guess.
+    assert stats['clusters'] == 3
+    assert stats['bridges'] == 2
+    assert stats['dropped'] == {'left': {'unmatched': 5}}
     assert stats['components'] == 1
 
 
