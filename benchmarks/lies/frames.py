@@ -36,6 +36,19 @@ def _pose(drive: Recording, name: str) -> np.ndarray:
     return matrix_of(drive.settings['lidars'][name]['T_base_sensor'])
 
 
+def _in_base(made: Recording, drive: Recording) -> Recording:
+    """The clouds of ``made`` moved into base_link, by the poses that ``drive`` has."""
+    for topic, name in ((LEFT, 'left'), (RIGHT, 'right')):
+        pose = _pose(drive, name)
+
+        def moved(cloud: object, pose: np.ndarray = pose) -> object:
+            points = points_of(cloud) @ pose[:3, :3].T + pose[:3, 3]
+            return reframed(cloud_of(cloud, table(points)), 'base_link')
+
+        made = made.each(topic, moved)
+    return made
+
+
 @lie(MENDED, SOUND)
 def tf_static(drive: Recording, folder: Path) -> Path:
     """Extrinsics in /tf_static, none in the settings."""
@@ -173,31 +186,13 @@ def millimetre_levers(drive: Recording, folder: Path) -> Path:
 )
 def moved_twice(drive: Recording, folder: Path) -> Path:
     """Clouds are in base_link already, and moved once more."""
-    made = drive
-    for topic, name in ((LEFT, 'left'), (RIGHT, 'right')):
-        pose = _pose(drive, name)
-
-        def moved(cloud: object, pose: np.ndarray = pose) -> object:
-            points = points_of(cloud) @ pose[:3, :3].T + pose[:3, 3]
-            return reframed(cloud_of(cloud, table(points)), 'base_link')
-
-        made = made.each(topic, moved)
-    return made.write(folder / 'bag')
+    return _in_base(drive, drive).write(folder / 'bag')
 
 
 @lie(SOUND, WARNED, about=EXTRINSICS)
 def moved_already(drive: Recording, folder: Path) -> Path:
     """Clouds are in base_link already, without settings."""
-    made = drive.framed()
-    for topic, name in ((LEFT, 'left'), (RIGHT, 'right')):
-        pose = _pose(drive, name)
-
-        def moved(cloud: object, pose: np.ndarray = pose) -> object:
-            points = points_of(cloud) @ pose[:3, :3].T + pose[:3, 3]
-            return reframed(cloud_of(cloud, table(points)), 'base_link')
-
-        made = made.each(topic, moved)
-    return made.write(folder / 'bag')
+    return _in_base(drive.framed(), drive).write(folder / 'bag')
 
 
 @lie(

@@ -100,7 +100,6 @@ def identity_extrinsics(places: Sequence[SensorPlace]) -> list[Finding]:
     if not untied or len(places) < 2:
         return []
     frames = ', '.join(f'{place.sensor} (frame {place.frame!r})' for place in untied)
-    lines = ' and '.join(f'{place.key}.T_base_sensor' for place in untied)
     return [
         Finding(
             'identity_extrinsics',
@@ -108,7 +107,7 @@ def identity_extrinsics(places: Sequence[SensorPlace]) -> list[Finding]:
             '',
             f'neither the settings nor /tf_static tell where in {BASE_FRAME} these are: {frames}; '
             'each is taken to be there, and turned as the car is',
-            f'set {lines}: [x, y, z, qx, qy, qz, qw]',
+            _pose_lines(untied),
         )
     ]
 
@@ -149,7 +148,6 @@ def equal_extrinsics(places: Sequence[SensorPlace]) -> list[Finding]:
     if not equal:
         return []
     names = ', '.join(place.sensor for place in equal)
-    lines = ' and '.join(f'{place.key}.T_base_sensor' for place in equal)
     return [
         Finding(
             'equal_extrinsics',
@@ -157,7 +155,7 @@ def equal_extrinsics(places: Sequence[SensorPlace]) -> list[Finding]:
             '',
             f'LiDARs {names} have the same T_base_sensor, as no two have; the map is wrong if they '
             'are apart',
-            f'set {lines}: [x, y, z, qx, qy, qz, qw]',
+            _pose_lines(equal),
         )
     ]
 
@@ -171,3 +169,9 @@ def bad_transform(topic: str, child: str, parent: str, reason: str) -> Finding:
         f'the transform to {parent} on {topic} is left out: {reason}',
         'correct its publisher',
     )
+
+
+def _pose_lines(places: Sequence[SensorPlace]) -> str:
+    """What to write where some sensors' poses are to be told."""
+    keys = ' and '.join(f'{place.key}.T_base_sensor' for place in places)
+    return f'set {keys}: [x, y, z, qx, qy, qz, qw]'

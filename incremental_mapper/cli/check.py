@@ -8,6 +8,7 @@ from typing import Any
 from incremental_mapper.checks.finding import Severity
 from incremental_mapper.cli import exit_status
 from incremental_mapper.cli.findings_text import print_findings
+from incremental_mapper.cli.inputs import add_input
 from incremental_mapper.config import Tree
 
 
@@ -19,12 +20,7 @@ def add_parser(subparsers: Any) -> None:
         'gaps, clocks, units, frames and extrinsics, fixes; what is suspicious, and how to mend '
         'it. Exit status 1 where it cannot be mapped.',
     )
-    parser.add_argument(
-        'input',
-        type=Path,
-        metavar='INPUT',
-        help='KAIST folder, rosbag2 (MCAP or sqlite3), ROS 1 bag, or folder of .bin scans',
-    )
+    add_input(parser)
     parser.add_argument(
         '--config', type=Path, metavar='YAML', help='settings, or a ROS parameter file, to check'
     )

@@ -10,6 +10,7 @@ from tqdm import tqdm
 from incremental_mapper.checks.finding import Severity
 from incremental_mapper.cli import exit_status
 from incremental_mapper.cli.findings_text import print_findings
+from incremental_mapper.cli.inputs import add_input
 from incremental_mapper.config import Tree
 from incremental_mapper.results.offline_run import Stop, map_into, open_drive
 from incremental_mapper.results.run_folder import prepare_folder
@@ -26,12 +27,7 @@ def add_parser(subparsers: Any) -> None:
         'trajectory.tum, map.ply, graph.json, graph.g2o, windows.csv, candidates.parquet, '
         'stats.json and pictures. Ctrl-C stops early and writes what has been mapped so far.',
     )
-    parser.add_argument(
-        'input',
-        type=Path,
-        metavar='INPUT',
-        help='KAIST folder, rosbag2 (MCAP or sqlite3), ROS 1 bag, or folder of .bin scans',
-    )
+    add_input(parser)
     parser.add_argument('out_dir', type=Path, metavar='OUT_DIR', help='folder to write into')
     parser.add_argument(
         '--strategy',

@@ -340,13 +340,11 @@ class Mapper:
             if not force and waited < self.config.window.max_carry:
                 self._carried = items
                 return self._close(frame, items, choice)
-            held = [item for item in items if not _loose(item)]
-            if self._state.clusters and len(held) < len(items):
+            loose = [item for item in items if _loose(item)]
+            if self._state.clusters and loose:
                 # A guess may hold a scan that others are matched to, not one that tells nothing.
-                self._failed.update(
-                    (item.core.sensor, 'unmatched') for item in items if _loose(item)
-                )
-                self._carried = held
+                self._failed.update((item.core.sensor, 'unmatched') for item in loose)
+                self._carried = [item for item in items if not _loose(item)]
                 return self._window([], frame, force)
             newest = self._state.frontier.newest
             pose = None if newest is None else self._state.pose(newest)

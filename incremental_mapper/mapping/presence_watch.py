@@ -1,7 +1,6 @@
 """When each sensor was there: the evidence of holes in a drive."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from incremental_mapper.checks.finding import Finding
 from incremental_mapper.checks.gaps import PERIODS, SILENCE, Presence, absence_findings, is_uneven
@@ -28,19 +27,16 @@ class _Seen:
         self.steps: list[float] = []
         self.holes: list[tuple[int, int]] = []
 
-    def take(self, stamps: NDArray[np.int64]) -> None:
-        """Take stamps in order; those that are no newer than the last change nothing."""
-        stamps = stamps[stamps > self.last]
-        if not len(stamps):
+    def take(self, stamp: int) -> None:
+        """Take the next stamp; one that is no newer than the last changes nothing."""
+        step = (stamp - self.last) / NANOSECONDS
+        if step <= 0.0:
             return
-        ends = np.concatenate([[self.last], stamps])
-        steps = np.diff(ends) / NANOSECONDS
         if len(self.steps) < _STEPS:
-            self.steps += steps.tolist()
-        for index in np.flatnonzero(steps > SILENCE):
-            if len(self.holes) < _HOLES:
-                self.holes.append((int(ends[index]), int(ends[index + 1])))
-        self.last = int(stamps[-1])
+            self.steps.append(step)
+        if step > SILENCE and len(self.holes) < _HOLES:
+            self.holes.append((self.last, stamp))
+        self.last = stamp
 
     def presence(self, sensor: str) -> Presence:
         """The sensor's holes by what is usual for it."""
@@ -52,7 +48,7 @@ class _Seen:
 
 
 class PresenceWatch:
-    """Looks at the stamps of windows, one numpy call for a sensor and window."""
+    """Looks at the stamps of windows: on plain numbers, since a window has few of each sensor."""
 
     def __init__(self) -> None:
         self._seen: dict[str, _Seen] = {}
@@ -62,14 +58,13 @@ class PresenceWatch:
 
     def window(self, window: Window) -> None:
         """Look at what a window holds; what was dropped before is not there."""
-        stamps: dict[str, list[int]] = {}
-        for item in window.core:
-            stamps.setdefault(item.sensor, []).append(item.stamp)
-        if window.imu:
-            stamps['imu'] = [sample.stamp for sample in window.imu]
-        for sensor, values in stamps.items():
-            seen = self._seen.setdefault(sensor, _Seen(values[0]))
-            seen.take(np.array(values, dtype=np.int64))
+        for sensor, items in (('', window.core), ('imu', window.imu)):
+            for item in items:
+                name = sensor or item.sensor
+                seen = self._seen.get(name)
+                if seen is None:
+                    seen = self._seen[name] = _Seen(item.stamp)
+                seen.take(item.stamp)
         self._newest = max(self._newest, window.end)
 
     def so_far(self) -> list[Finding]:

@@ -20,7 +20,7 @@ from incremental_mapper.scoring.mom import (
     fast_scores,
     fast_variances,
 )
-from incremental_mapper.scoring.ties import ties
+from incremental_mapper.scoring.ties import planes_of, ties
 
 
 def _no_scans() -> NDArray[np.float64]:
@@ -153,7 +153,8 @@ class Mom:
             variances = np.array(each)
         else:
             variances = fast_variances(points, np.array(poses), local_map, settings, self.exact)
-        return ties(variances, best, points.weights, points.planes, confidence)
+        planes = planes_of(points.points, points.family, points.axes, settings.radius)
+        return ties(variances, best, points.weights, planes, confidence)
 
 
 def mom_criterion(

@@ -27,7 +27,6 @@ from incremental_mapper.scoring.neighbourhoods import (
     shared_neighbourhoods,
 )
 from incremental_mapper.scoring.plane_families import orthogonal_families, spread_positions
-from incremental_mapper.scoring.ties import planes_of
 
 PLANE_VARIANCE = 'plane_variance'
 BATCH = 32
@@ -62,7 +61,7 @@ class QueryPoints:
     under any candidate that drifts by no more than ``reach`` (P, 1 + S) metres, but for the
     pairs at the ``boundary``; ``grid`` gives those for any other reach. ``weights`` (P,) make the
     mean over families of the mean in each; ``families`` are those that count, and ``family`` (P,)
-    is 0, 1 or 2. ``planes`` (P,) numbers the planes that the points lie in.
+    is 0, 1 or 2, a row of ``axes`` (3, 3), their unit normals.
     """
 
     points: NDArray[np.float64]
@@ -74,7 +73,7 @@ class QueryPoints:
     family: NDArray[np.int64]
     families: tuple[int, ...]
     weights: NDArray[np.float64]
-    planes: NDArray[np.int64]
+    axes: NDArray[np.float64]
     score_name: str
 
 
@@ -117,7 +116,7 @@ def choose_query_points(local_map: LocalMap, settings: MomSettings) -> QueryPoin
         family=labels,
         families=counted,
         weights=1.0 / (np.bincount(labels)[labels] * len(counted)),
-        planes=planes_of(queries, labels, families.axes, settings.radius),
+        axes=families.axes,
         score_name=name,
     )
 
