@@ -188,6 +188,25 @@ class GnssSettings(Section):
     """Travelled metres after which the yaw is taken from the GNSS track."""
 
 
+class DatumSettings(Section):
+    """Where the origin of the map lies on the earth, so that sessions share a frame."""
+
+    fixed: bool = False
+    """The map is east-north-up around the place below; false takes the first fix that holds."""
+    latitude: float = Field(default=0.0, ge=-90.0, le=90.0, allow_inf_nan=False)
+    """Degrees."""
+    longitude: float = Field(default=0.0, ge=-180.0, le=180.0, allow_inf_nan=False)
+    """Degrees."""
+    altitude: float = Field(default=0.0, ge=-12_000.0, le=100_000.0, allow_inf_nan=False)
+    """Metres above the WGS-84 ellipsoid, or above whatever the fixes count from."""
+
+    @model_validator(mode='after')
+    def _check_fixed(self) -> Self:
+        if not self.fixed and (self.latitude, self.longitude, self.altitude) != (0.0, 0.0, 0.0):
+            raise ValueError('a datum is given, but fixed is false; set datum.fixed: true')
+        return self
+
+
 class GraphSettings(Section):
     """Priors, and how G(t) is solved."""
 
@@ -394,6 +413,7 @@ class Config(Section):
     odometry: OdometrySettings = OdometrySettings()
     preintegration: ImuSettings = ImuSettings()
     fixes: GnssSettings = GnssSettings()
+    datum: DatumSettings = DatumSettings()
     graph: GraphSettings = GraphSettings()
     selection: SelectionSettings = SelectionSettings()
     mom: MomSettings = MomSettings()

@@ -28,6 +28,12 @@ SQRT2 = math.sqrt(2.0)
 DRIFTING = 1.5
 """So many times further off over twice the fixes, they drift."""
 
+FAR = 5_000.0
+"""Metres from a fixed datum at which the vertical there and here differ by 0.8 mrad, which the IMU
+notices, and the earth has fallen 2 m below the plane."""
+TOO_FAR = 50_000.0
+"""Metres at which gravity pulls by 0.08 m/s^2 along the plane, more than biases may be."""
+
 
 @dataclass(slots=True)
 class Suspicion:
@@ -105,6 +111,29 @@ def judged_fixes(
             )
         )
     return tuple(found)
+
+
+def far_datum(sensor: str, farthest: float, first: int) -> tuple[Finding, ...]:
+    """A fixed datum that is far from the fixes.
+
+    Args:
+        sensor: Name of the receiver.
+        farthest: Largest distance of a fix from the datum, metres.
+        first: Stamp of the first fix that was left out because it was too far, ns; 0 where none.
+    """
+    if farthest <= FAR:
+        return ()
+    left_out = f', beyond {_metres(TOO_FAR)} they are left out, the first at {first}'
+    return (
+        Finding(
+            rule='far_datum',
+            severity=Severity.ERROR if first else Severity.WARNING,
+            sensor=sensor,
+            text=f'fixes are up to {farthest / 1000.0:.0f} km from the datum of the settings, but '
+            f'the map is flat and the earth is not{left_out if first else ""}',
+            remedy=f'give datum.latitude and datum.longitude within {_metres(FAR)} of the drive',
+        ),
+    )
 
 
 def scatter(enu: NDArray[np.float64], local: NDArray[np.float64], yaw: float | None) -> float:

@@ -19,8 +19,10 @@ from incremental_mapper.checks.finding import Finding
 from incremental_mapper.checks.fixes import (
     FEWEST,
     REFUSED,
+    TOO_FAR,
     DatumStep,
     Suspicion,
+    far_datum,
     judged_fixes,
     scatter,
     too_certain,
@@ -64,20 +66,27 @@ class FixGate:
     """Takes fixes and scans in time order, and says which fixes are used."""
 
     def __init__(
-        self, settings: GnssSettings, lever_arm: NDArray[np.float64], method: OdometryMethod
+        self,
+        settings: GnssSettings,
+        lever_arm: NDArray[np.float64],
+        method: OdometryMethod,
+        fixed: Datum | None = None,
     ) -> None:
-        """Begin without a datum.
+        """Begin without a fix.
 
         Args:
             settings: Those of the fixes.
             lever_arm: The antenna in base_link (3,), metres.
             method: How scans are matched.
+            fixed: The datum where it is given; else the fixes tell it.
         """
         # Point-to-point matching reads 8 m of 14 m too little where a car speeds up.
         self._exact = method is OdometryMethod.GICP
         self._settings = settings
         self._odometry = OdometryTrack(lever_arm)
         self._tracks: list[Track] = []  # the first one is the one that is believed
+        self._fixed = fixed
+        self._farthest = (0.0, 0)  # metres from a fixed datum, and the first stamp that was too far
         self._frame: Datum | None = None
         self._altitude = math.nan  # of the newest fix that has one
         self._repeated: tuple[float, float, Place] | None = None
@@ -94,8 +103,8 @@ class FixGate:
     @property
     def datum(self) -> Datum | None:
         """Origin of the frame as the larger part of the fixes has it, None before the first."""
-        if self._frame is None:
-            return None
+        if self._frame is None or self._fixed is not None:
+            return self._frame
         joined = [track for track in self._tracks if track.origin is not None]
         best = max(joined, key=lambda track: track.count, default=self._tracks[0])
         origin = np.zeros(3) if best.origin is None else best.origin
@@ -123,7 +132,8 @@ class FixGate:
 
     def findings(self) -> tuple[Finding, ...]:
         """What was found wrong with the fixes so far."""
-        return judged_fixes(self.sensor, self.received, self.suspicions, self.steps)
+        found = judged_fixes(self.sensor, self.received, self.suspicions, self.steps)
+        return (*found, *far_datum(self.sensor, *self._farthest))
 
     def too_certain(self) -> Finding | None:
         """Whether the newest fixes scatter far more than they say; asked where some are left out.
@@ -191,6 +201,8 @@ class FixGate:
         """
         self.sensor = fix.sensor
         self.received += 1
+        if self._fixed is not None:
+            self._check_distance(fix, self._fixed)
         fix = self._with_altitude(fix)
         up = float(np.sqrt(covariance[2, 2]))
         entry = Entry(
@@ -202,7 +214,7 @@ class FixGate:
         self._check_frozen(entry)
         self._recent.append(entry)
         if self._frame is None:
-            self._frame = _datum(fix)
+            self._frame = self._origin_at(fix)
         track, apart = self._track_of(entry)
         above, level = track.height(entry)
         lowered = track.add(entry, above, level)
@@ -244,13 +256,34 @@ class FixGate:
         if math.isnan(fix.altitude):
             # The newest altitude is the best guess; its deviation says that it is no more.
             return replace(fix, altitude=self._altitude)
-        if math.isnan(self._altitude) and self._frame is not None:
+        if math.isnan(self._altitude) and self._frame is not None and self._fixed is None:
             # Fixes without altitude came before: they were at height 0, and so is this one.
             self._frame = replace(self._frame, altitude=fix.altitude)
             for track in self._tracks:
                 track.datum = replace(track.datum, altitude=fix.altitude)
         self._altitude = fix.altitude
         return fix
+
+    def _origin_at(self, fix: GnssFix) -> Datum:
+        """The fixed datum, else that of a track which begins with a fix."""
+        if self._fixed is not None:
+            return self._fixed
+        altitude = 0.0 if math.isnan(fix.altitude) else fix.altitude
+        return Datum(fix.latitude, fix.longitude, altitude)
+
+    def _check_distance(self, fix: GnssFix, datum: Datum) -> None:
+        """Raise where a flat frame at a fixed datum does not reach as far as a fix."""
+        east, north, _ = datum.enu(fix)
+        far = float(np.hypot(east, north))
+        most, first = self._farthest
+        self._farthest = max(most, far), first
+        if far > TOO_FAR:
+            self._farthest = max(most, far), first or fix.stamp
+            raise MeasurementError(
+                'far_from_datum',
+                f'{fix.sensor} at {fix.stamp}: the fix is {far / 1000.0:.0f} km from the datum of '
+                'the settings',
+            )
 
     def _check_frozen(self, entry: Entry) -> None:
         """Raise where the position repeats bit for bit although the car moves."""
@@ -290,7 +323,7 @@ class FixGate:
             weakest = min(self._tracks[1:], key=lambda one: (one.origin is not None, one.weight))
             self._abandoned.update(weakest.stamps)
             self._tracks.remove(weakest)
-        datum = _datum(fix)
+        datum = self._origin_at(fix)
         origin = None if self._tracks else np.zeros(3)
         made = Track(datum, self._settings.min_distance, origin, crept=crept)
         self._tracks.append(made)
@@ -343,11 +376,6 @@ class FixGate:
         known = self.suspicions.setdefault(reason, Suspicion(0, stamp, 0.0))
         known.count += 1
         known.most = max(known.most, metres)
-
-
-def _datum(fix: GnssFix) -> Datum:
-    altitude = 0.0 if math.isnan(fix.altitude) else fix.altitude
-    return Datum(fix.latitude, fix.longitude, altitude)
 
 
 def _without_vertical(covariance: NDArray[np.float64]) -> NDArray[np.float64]:

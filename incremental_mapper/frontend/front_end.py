@@ -14,7 +14,7 @@ from incremental_mapper.candidates.model import CoreKind, CoreMeasurement
 from incremental_mapper.config import Config
 from incremental_mapper.errors import MeasurementError
 from incremental_mapper.frontend.fix_gate import FixGate
-from incremental_mapper.frontend.gnss import Datum, checked_covariance
+from incremental_mapper.frontend.gnss import Datum, checked_covariance, fixed_datum
 from incremental_mapper.frontend.lidar_odometry import PreparedScan
 from incremental_mapper.frontend.odometry_process import LocalStation, ProcessStation, ScanStation
 from incremental_mapper.measurements import CoreInput, Drops, GnssFix, LidarScan
@@ -58,7 +58,12 @@ class FrontEnd:
     def __init__(self, config: Config) -> None:
         self._config = config
         self._stations: dict[str, ScanStation] = {}
-        self.gate = FixGate(config.fixes, config.gnss.matrix()[:3, 3], config.odometry.method)
+        self.gate = FixGate(
+            config.fixes,
+            config.gnss.matrix()[:3, 3],
+            config.odometry.method,
+            fixed_datum(config.datum),
+        )
         self.drops: Drops = Counter()
         self.notes: Counter[str] = Counter()  # what was used, but not in full
         if config.odometry.processes:

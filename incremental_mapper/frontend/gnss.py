@@ -7,7 +7,7 @@ import numpy as np
 import pymap3d
 from numpy.typing import NDArray
 
-from incremental_mapper.config import GnssSettings
+from incremental_mapper.config import DatumSettings, GnssSettings
 from incremental_mapper.errors import MeasurementError
 from incremental_mapper.measurements import NO_VERTICAL_SIGMA, GnssFix
 
@@ -49,6 +49,13 @@ class Datum:
         """The place (3,) around this datum, metres, as a datum of its own."""
         place = pymap3d.enu2geodetic(*enu, *astuple(self))
         return Datum(*(float(value) for value in place))
+
+
+def fixed_datum(settings: DatumSettings) -> Datum | None:
+    """The datum that the settings give, None where the fixes are to tell it."""
+    if not settings.fixed:
+        return None
+    return Datum(settings.latitude, settings.longitude, settings.altitude)
 
 
 def checked_covariance(fix: GnssFix, settings: GnssSettings) -> NDArray[np.float64]:

@@ -8,9 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from incremental_mapper.candidates.model import CoreKind, CoreMeasurement
+from incremental_mapper.checks.finding import Severity
 from incremental_mapper.config import GnssSettings, OdometryMethod
 from incremental_mapper.errors import MeasurementError
 from incremental_mapper.frontend.fix_gate import FixGate
+from incremental_mapper.frontend.gnss import Datum
 from incremental_mapper.frontend.lidar_odometry import PreparedScan
 from incremental_mapper.measurements import NANOSECONDS, FixStatus, GnssFix
 
@@ -24,8 +26,8 @@ SIGMA = 0.05
 class Drive:
     """A car that drives straight on, seen by a LiDAR at 10 Hz and by a receiver."""
 
-    def __init__(self, speed=SPEED, method=OdometryMethod.GICP):
-        self.gate = FixGate(GnssSettings(), np.zeros(3), method)
+    def __init__(self, speed=SPEED, method=OdometryMethod.GICP, fixed=None):
+        self.gate = FixGate(GnssSettings(), np.zeros(3), method, fixed)
         self.speed = speed
         self.scans = 0
         self.used, self.doubtful, self.refused, self.gone = {}, set(), {}, set()
@@ -230,3 +232,55 @@ def test_fixes_without_any_odometry_are_used():
     for i in range(20):
         drive.fix(i, i * 1.0, np.zeros(3))
     assert not drive.refused
+
+
+def place_from(datum, east):
+    """The place that lies ``east`` metres to the east of another one."""
+    return Datum(*map(float, pymap3d.enu2geodetic(east, 0.0, 0.0, *datum)))
+
+
+def test_fixes_are_taken_around_a_fixed_datum():
+    fixed = place_from(DATUM, -1500.0)
+    drive = driven(40, 0.2, lambda i: [0, 0, 0], fixed=fixed)
+    assert drive.gate.datum == fixed and not drive.gate.findings()
+    for number, judged in drive.used.items():
+        way = np.array([np.cos(HEADING), np.sin(HEADING), 0.0]) * drive.way(number * 0.2)
+        there = pymap3d.geodetic2enu(*pymap3d.enu2geodetic(*way, *DATUM), *vars_of(fixed))
+        # The planes at the two places are turned against each other, so a shift is not enough.
+        assert judged.enu == pytest.approx(there, abs=0.1)
+
+
+def vars_of(datum):
+    return datum.latitude, datum.longitude, datum.altitude
+
+
+@pytest.mark.parametrize('period', [0.1, 1.0])
+def test_first_fixes_of_another_place_leave_the_graph_around_a_fixed_datum_too(period):
+    fixed = place_from(DATUM, -1500.0)
+    drive = driven(60, period, lambda i: [0, 0, 0] if i > 1 else [80, 50, 4], fixed=fixed)
+    assert drive.gone == {0, 1} and drive.rules() == {'datum_outlier'}
+    assert drive.gate.datum == fixed and drive.gate.certain
+
+
+def test_fixes_after_a_step_are_moved_back_to_a_fixed_datum():
+    fixed = place_from(DATUM, -1500.0)
+    drive = driven(60, 0.5, lambda i: [0, 0, 0] if i < 20 else [8, -6, 0], fixed=fixed)
+    assert 'datum_step' in drive.rules() and drive.gate.datum == fixed
+    assert np.hypot(*drive.gate.steps[0].shift[:2]) == pytest.approx(10.0, abs=1.0)
+
+
+@pytest.mark.parametrize(
+    ('east', 'rules', 'severities', 'used'),
+    [
+        (4_000.0, set(), set(), 10),
+        (8_000.0, {'far_datum'}, {Severity.WARNING}, 10),
+        (80_000.0, {'far_datum'}, {Severity.ERROR}, 0),
+    ],
+)
+def test_a_datum_that_is_far_away_is_warned_of_and_refused_beyond_reach(
+    east, rules, severities, used
+):
+    drive = driven(10, 1.0, lambda i: [0, 0, 0], fixed=place_from(DATUM, east))
+    assert drive.rules() == rules and len(drive.used) == used
+    assert {finding.severity for finding in drive.gate.findings()} == severities
+    assert drive.gate.certain is (used > 0)

@@ -70,17 +70,18 @@ def drive(heading, seconds=3.0, orientation=None, fixes_per_second=4):
     return sorted(made, key=lambda item: item.stamp)
 
 
-def mapped(heading, **kwargs):
+def mapped(heading, measurements=None, datum=None, **kwargs):
     config = make_config(
         {
             'selection': {'strategy': 'min_time_shift'},
             'lidars': {'names': ['left']},
             'gnss': {'T_base_sensor': [*ARM, 0, 0, 0, 1]},
             'graph': {'lag': 0.5},
+            'datum': datum or {},
         }
     )
     mapper = Mapper(config, ['left', 'gps', 'imu'])
-    for item in drive(heading, **kwargs):
+    for item in drive(heading, **kwargs) if measurements is None else measurements:
         mapper.push(item)
     return mapper.finish()
 
