@@ -22,7 +22,7 @@ import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -289,7 +289,7 @@ def main() -> int:
 
 def run(args: argparse.Namespace, work: Path) -> int:
     """Both halves; returns the exit status."""
-    recording = make_drive(DRIVES['curve'], work / 'drive', args.seconds)
+    recording = make_drive(replace(DRIVES['curve'], seconds=args.seconds), work / 'drive')
     truth = recording.folder / 'global_pose.csv'
     alone, among = list(valid(recording)), list(mixed(recording, args.count, args.seed))
     kinds = Counter(item.kind for item in among if item.kind)

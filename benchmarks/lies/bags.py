@@ -9,7 +9,7 @@ import numpy as np
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from lies.lie import Verdict, lie
-from lies.recording import STORE, Recording
+from lies.recording import STORE, Recording, restamped, stamp_of
 
 MENDED, WARNED, REFUSED, SOUND = Verdict.MENDED, Verdict.WARNED, Verdict.REFUSED, Verdict.SOUND
 
@@ -188,3 +188,67 @@ def kaist_in_g(drive: Recording, folder: Path) -> Path:
         row[11:14] = [f'{float(value) / 9.80665:.9f}' for value in row[11:14]]
     path.write_text('\n'.join(map(','.join, rows)) + '\n')
     return kaist
+
+
+@lie(SOUND, MENDED, WARNED, about=r'storage|metadata')
+def split_without_storage(drive: Recording, folder: Path) -> Path:
+    """A split bag whose metadata name no storage."""
+    bag = _split(drive, folder / 'bag')
+    path = bag / 'metadata.yaml'
+    path.write_text(re.sub(r'storage_identifier: \w+', "storage_identifier: ''", path.read_text()))
+    return bag
+
+
+@lie(WARNED, REFUSED, about=r'part|file|missing|lost|exist')
+def part_missing(drive: Recording, folder: Path) -> Path:
+    """A split bag whose second file is lost."""
+    bag = _split(drive, folder / 'bag')
+    sorted(bag.glob('*.mcap'))[1].unlink()
+    return bag
+
+
+@lie(SOUND, MENDED, WARNED, REFUSED, about=r'damaged|cut|truncated|recover')
+def rotten_chunk(drive: Recording, folder: Path) -> Path:
+    """An MCAP with 3000 bytes of noise in its middle: within one cloud."""
+    bag = drive.write(folder / 'bag')
+    file = _only(bag, '.mcap')
+    data = bytearray(file.read_bytes())
+    middle = len(data) // 2
+    data[middle : middle + 3000] = np.random.default_rng(1).bytes(3000)
+    file.write_bytes(bytes(data))
+    return bag
+
+
+@lie(WARNED, MENDED, REFUSED, about=r'hole|absent|gap|no message|holes')
+def two_drives(drive: Recording, folder: Path) -> Path:
+    """The same drive twice in one bag, the second a quarter of an hour later."""
+    later = 900 * 10**9
+    again = [
+        (t + later, topic, restamped(m, stamp_of(m) + later))
+        for t, topic, m in drive.items
+        if hasattr(m, 'header')
+    ]
+    return drive.plus(again).write(folder / 'bag')
+
+
+def _split(drive: Recording, folder: Path) -> Path:
+    """A bag of two files with common metadata, each half of the drive."""
+    until = (drive.start + drive.end) // 2
+    halves = [
+        drive.with_items(item for item in drive.items if (item[0] < until) is first)
+        for first in (True, False)
+    ]
+    parts = [half.write(folder.parent / f'part_{n}') for n, half in enumerate(halves)]
+    folder.mkdir()
+    names = []
+    for number, part in enumerate(parts):
+        names.append(f'bag_{number}.mcap')
+        shutil.move(_only(part, '.mcap'), folder / names[-1])
+    whole = drive.write(folder.parent / 'whole')
+    text = (whole / 'metadata.yaml').read_text()
+    text = text.replace('- whole.mcap', ''.join(f'- {name}\n  ' for name in names).rstrip())
+    (folder / 'metadata.yaml').write_text(text)
+    drive.write_settings(folder)
+    for part in (*parts, whole):
+        shutil.rmtree(part)
+    return folder

@@ -7,7 +7,17 @@ import numpy as np
 
 from incremental_mapper.measurements import NANOSECONDS
 from lies.lie import Verdict, lie
-from lies.recording import FIX, IMU, LEFT, LIDARS, TRUTH, Recording, restamped, stamp_of
+from lies.recording import (
+    FIX,
+    IMU,
+    LEFT,
+    LIDARS,
+    RIGHT,
+    TRUTH,
+    Recording,
+    restamped,
+    stamp_of,
+)
 
 HOUR = 3600.0
 YEAR = 365.0 * 24.0 * HOUR
@@ -138,3 +148,76 @@ def single_stamps_ahead(drive: Recording, folder: Path) -> Path:
     made = drive.each(LEFT, ahead)
     left['n'] = 0
     return made.each(IMU, ahead).write(folder / 'bag')
+
+
+@lie(MENDED, WARNED, about=CLOCK)
+def tai_and_gps(drive: Recording, folder: Path) -> Path:
+    """LiDARs on TAI and fixes on GPS time at once."""
+    return drive.shifted(LIDARS, 37.0).shifted(FIX, 18.0).write(folder / 'bag')
+
+
+@lie(MENDED, WARNED, SOUND, about=CLOCK)
+def all_no_stamps(drive: Recording, folder: Path) -> Path:
+    """Stamps lost: all headers of all sensors are 0."""
+    return drive.each([*LIDARS, IMU, FIX], lambda m: restamped(m, 0)).write(folder / 'bag')
+
+
+@lie(MENDED, WARNED, about=CLOCK)
+def one_lidar_no_stamps(drive: Recording, folder: Path) -> Path:
+    """Stamps of the right LiDAR are 0."""
+    return drive.each(RIGHT, lambda m: restamped(m, 0)).write(folder / 'bag')
+
+
+@lie(MENDED, WARNED, REFUSED, about=CLOCK)
+def whole_seconds(drive: Recording, folder: Path) -> Path:
+    """LiDAR stamps in whole seconds, ten scans each."""
+    return drive.each(
+        LIDARS, lambda m: restamped(m, stamp_of(m) // NANOSECONDS * NANOSECONDS)
+    ).write(folder / 'bag')
+
+
+@lie(MENDED, WARNED, REFUSED, about=CLOCK)
+def nanosec_in_us(drive: Recording, folder: Path) -> Path:
+    """The nanoseconds of LiDAR stamps are microseconds: seconds that hardly pass, and leap."""
+
+    def change(message: object) -> object:
+        seconds, rest = divmod(stamp_of(message), NANOSECONDS)
+        return restamped(message, seconds * NANOSECONDS + rest // 1000)
+
+    return drive.each(LIDARS, change).write(folder / 'bag')
+
+
+@lie(MENDED, WARNED, about=CLOCK, drive='turns')
+def imu_early_turns(drive: Recording, folder: Path) -> Path:
+    """IMU stamped 0.15 s early, over bends."""
+    return drive.shifted(IMU, -0.15).write(folder / 'bag')
+
+
+@lie(MENDED, WARNED, about=CLOCK + '|left|right', drive='turns')
+def one_lidar_late(drive: Recording, folder: Path) -> Path:
+    """Right LiDAR stamped 0.2 s late."""
+    return drive.shifted(RIGHT, 0.2).write(folder / 'bag')
+
+
+@lie(MENDED, WARNED, about=CLOCK + '|gnss', drive='turns')
+def fixes_late(drive: Recording, folder: Path) -> Path:
+    """Fixes stamped 0.8 s late, over bends and changes of speed."""
+    return drive.shifted(FIX, 0.8).write(folder / 'bag')
+
+
+@lie(MENDED, WARNED, about=CLOCK, drive='turns')
+def lidars_drift(drive: Recording, folder: Path) -> Path:
+    """The LiDARs' clock runs two per cent fast."""
+    first = drive.start
+    return drive.each(
+        LIDARS, lambda m: restamped(m, stamp_of(m) + (stamp_of(m) - first) // 50)
+    ).write(folder / 'bag')
+
+
+@lie(MENDED, WARNED, SOUND, about=CLOCK, drive='turns')
+def imu_jitter(drive: Recording, folder: Path) -> Path:
+    """IMU stamps scatter by 30 ms, out of order."""
+    rng = np.random.default_rng(8)
+    return drive.each(
+        IMU, lambda m: restamped(m, stamp_of(m) + int(rng.normal(scale=3e7)))
+    ).write(folder / 'bag')

@@ -278,3 +278,101 @@ def cut_clouds(drive: Recording, folder: Path) -> Path:
         return replace(cloud, width=2 * cloud.width, row_step=2 * cloud.row_step)
 
     return drive.each(LEFT, change).write(folder / 'bag')
+
+
+@lie(MENDED, WARNED, REFUSED, about=LAYOUT)
+def bigendian_rows(drive: Recording, folder: Path) -> Path:
+    """Big-endian data of several rows, whose row_step counts points, declared little-endian."""
+
+    def change(cloud: Any) -> Any:
+        points = points_of(cloud)
+        height = 8
+        width = len(points) // height
+        made = cloud_of(cloud, table(points[: width * height], '>f4'))
+        return replace(made, height=height, width=width, row_step=width)
+
+    return drive.each(LIDARS, change).write(folder / 'bag')
+
+
+@lie(SOUND, drive='timed')
+def times_us_counted(drive: Recording, folder: Path) -> Path:
+    """Point times in us from the first point, as uint32; the stamp is the first point's."""
+    made = _timed(drive, '<u4', lambda t, _: np.round((t - t.min()) * 1e6), 't')
+    return made.shifted(LIDARS, -0.1).write(folder / 'bag')
+
+
+@lie(SOUND, MENDED, WARNED, about=r'time|skew', drive='timed', factor=2.0)
+def times_absolute_ns(drive: Recording, folder: Path) -> Path:
+    """Point times of the epoch in nanoseconds, as float64."""
+    made = _timed(drive, '<f8', lambda t, stamp: stamp + t * 1e9, 'timestamp')
+    return made.write(folder / 'bag')
+
+
+@lie(SOUND, MENDED, WARNED, about=r'time|skew|clock', drive='timed', factor=2.0)
+def times_other_clock(drive: Recording, folder: Path) -> Path:
+    """Point times in seconds since power-up, while the stamps are of the epoch."""
+    start = drive.start / NANOSECONDS
+    made = _timed(drive, '<f8', lambda t, stamp: stamp / NANOSECONDS + t - start + 95.0)
+    return made.write(folder / 'bag')
+
+
+@lie(MENDED, WARNED, about=r'time|skew', drive='timed')
+def times_reversed(drive: Recording, folder: Path) -> Path:
+    """Point times with the wrong sign: they run backwards through the sweep."""
+    return _timed(drive, '<f4', lambda t, _: t.min() - t).write(folder / 'bag')
+
+
+@lie(MENDED, WARNED, REFUSED, about=LAYOUT + '|distance', drive='turns')
+def feet(drive: Recording, folder: Path) -> Path:
+    """X, y, z in feet."""
+    return drive.each(LIDARS, lambda m: cloud_of(m, table(points_of(m) / 0.3048))).write(
+        folder / 'bag'
+    )
+
+
+@lie(MENDED, WARNED, REFUSED, about=LAYOUT + '|mirror', drive='turns')
+def mirrored_clouds(drive: Recording, folder: Path) -> Path:
+    """Left-handed clouds: y to the right."""
+    flip = np.array([1.0, -1.0, 1.0], dtype=np.float32)
+    return drive.each(LIDARS, lambda m: cloud_of(m, table(points_of(m) * flip))).write(
+        folder / 'bag'
+    )
+
+
+@lie(MENDED, WARNED, REFUSED, about=LAYOUT + '|mirror', drive='turns')
+def exchanged_xy(drive: Recording, folder: Path) -> Path:
+    """X and y of the clouds exchanged."""
+    return drive.each(LIDARS, lambda m: cloud_of(m, table(points_of(m)[:, [1, 0, 2]]))).write(
+        folder / 'bag'
+    )
+
+
+@lie(WARNED, REFUSED, about=r'left|right', drive='turns')
+def frozen_clouds(drive: Recording, folder: Path) -> Path:
+    """Both LiDARs repeat a cloud for the second half."""
+    until = drive.start + (drive.end - drive.start) // 2
+    last: dict[str, Any] = {}
+    made = drive
+    for topic in LIDARS:
+        last[topic] = [m for m in drive.of(topic) if stamp_of(m) < until][-1]
+        made = made.each(
+            topic,
+            lambda m, topic=topic: (
+                m if stamp_of(m) < until else replace(last[topic], header=m.header)
+            ),
+        )
+    return made.write(folder / 'bag')
+
+
+@lie(WARNED, REFUSED, about=r'left|right')
+def dust(drive: Recording, folder: Path) -> Path:
+    """Nine of ten points are noise around the car."""
+    rng = np.random.default_rng(6)
+
+    def change(cloud: Any) -> Any:
+        points = points_of(cloud).copy()
+        noisy = rng.random(len(points)) < 0.9
+        points[noisy] = rng.normal(scale=8.0, size=(int(noisy.sum()), 3))
+        return cloud_of(cloud, table(points))
+
+    return drive.each(LIDARS, change).write(folder / 'bag')

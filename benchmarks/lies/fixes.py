@@ -139,3 +139,119 @@ def zero_place(drive: Recording, folder: Path) -> Path:
     return _fixes(
         drive, lambda i, m: m if i % 2 else replace(m, latitude=0.0, longitude=0.0)
     ).write(folder / 'bag')
+
+
+@lie(SOUND, MENDED, WARNED, about=GNSS, drive='fixes')
+def frozen_without_fix(drive: Recording, folder: Path) -> Path:
+    """Frozen in the middle, with status -1 meanwhile."""
+    at = drive.of(FIX)[8]
+
+    def change(number: int, message: Any) -> Any:
+        if not 8 <= number < 16:
+            return message
+        return replace(at, header=message.header, status=replace(message.status, status=-1))
+
+    return _fixes(drive, change).write(folder / 'bag')
+
+
+@lie(MENDED, WARNED, about=GNSS, drive='fixes')
+def ten_elsewhere(drive: Recording, folder: Path) -> Path:
+    """The first ten fixes 20 m off."""
+    return _fixes(drive, lambda i, m: _north(m, 20.0) if i < 10 else m).write(folder / 'bag')
+
+
+@lie(SOUND, WARNED, about=GNSS + '|out_of_range|finite', drive='fixes')
+def nan_places(drive: Recording, folder: Path) -> Path:
+    """Every third latitude is NaN."""
+    return _fixes(drive, lambda i, m: m if i % 3 else replace(m, latitude=float('nan'))).write(
+        folder / 'bag'
+    )
+
+
+@lie(MENDED, WARNED, REFUSED, about=GNSS, drive='europe')
+def exchanged_in_range(drive: Recording, folder: Path) -> Path:
+    """Latitude and longitude exchanged where both are in range, as in Europe."""
+    return _fixes(drive, lambda _, m: replace(m, latitude=m.longitude, longitude=m.latitude)).write(
+        folder / 'bag'
+    )
+
+
+@lie(SOUND, drive='europe')
+def europe_itself(drive: Recording, folder: Path) -> Path:
+    """A drive in Europe."""
+    return drive.write(folder / 'bag')
+
+
+@lie(MENDED, WARNED, REFUSED, about=GNSS, drive='turns')
+def west_as_east(drive: Recording, folder: Path) -> Path:
+    """The sign of the longitude lost."""
+    return _fixes(drive, lambda _, m: replace(m, longitude=-m.longitude)).write(folder / 'bag')
+
+
+@lie(MENDED, WARNED, REFUSED, about=GNSS, drive='turns')
+def in_radians(drive: Recording, folder: Path) -> Path:
+    """Latitude and longitude in radians."""
+    return _fixes(
+        drive,
+        lambda _, m: replace(
+            m, latitude=float(np.radians(m.latitude)), longitude=float(np.radians(m.longitude))
+        ),
+    ).write(folder / 'bag')
+
+
+@lie(WARNED, REFUSED, about=GNSS + '|range', drive='turns')
+def in_e7(drive: Recording, folder: Path) -> Path:
+    """Degrees times ten million, as receivers send them."""
+    return _fixes(
+        drive, lambda _, m: replace(m, latitude=m.latitude * 1e7, longitude=m.longitude * 1e7)
+    ).write(folder / 'bag')
+
+
+@lie(MENDED, WARNED, about=GNSS, drive='turns')
+def stuck_longitude(drive: Recording, folder: Path) -> Path:
+    """The longitude alone is stuck."""
+    at = drive.of(FIX)[0].longitude
+    return _fixes(drive, lambda _, m: replace(m, longitude=at)).write(folder / 'bag')
+
+
+@lie(MENDED, WARNED, SOUND, about=GNSS, drive='fixes', factor=2.0)
+def held_fixes(drive: Recording, folder: Path) -> Path:
+    """A receiver of 1 Hz whose last fix is sent again at 5 Hz with new stamps."""
+    fixes = drive.of(FIX)
+    return _fixes(drive, lambda i, m: replace(fixes[i // 5 * 5], header=m.header)).write(
+        folder / 'bag'
+    )
+
+
+@lie(MENDED, WARNED, SOUND, about=GNSS, drive='fixes', factor=2.0)
+def single_precision(drive: Recording, folder: Path) -> Path:
+    """Degrees rounded to single precision, in steps of half a metre."""
+    return _fixes(
+        drive,
+        lambda _, m: replace(
+            m, latitude=float(np.float32(m.latitude)), longitude=float(np.float32(m.longitude))
+        ),
+    ).write(folder / 'bag')
+
+
+@lie(MENDED, WARNED, about=GNSS, drive='turns')
+def four_decimals(drive: Recording, folder: Path) -> Path:
+    """Degrees rounded to four decimals, in steps of 10 m."""
+    return _fixes(
+        drive,
+        lambda _, m: replace(
+            m, latitude=round(m.latitude, 4), longitude=round(m.longitude, 4)
+        ),
+    ).write(folder / 'bag')
+
+
+@lie(MENDED, WARNED, about=GNSS, drive='fixes')
+def cold_start(drive: Recording, folder: Path) -> Path:
+    """Fixes that converge from 30 m off in the first seconds, sure of themselves."""
+    return _fixes(drive, lambda i, m: _north(m, 30.0 * np.exp(-i / 4.0))).write(folder / 'bag')
+
+
+@lie(MENDED, WARNED, about=GNSS, drive='turns')
+def drifting_fixes(drive: Recording, folder: Path) -> Path:
+    """Fixes drift away by a metre from one to the next."""
+    return _fixes(drive, lambda i, m: _north(m, 1.0 * i)).write(folder / 'bag')

@@ -19,6 +19,7 @@ from lies.recording import (
     points_of,
     reframed,
     setting_of,
+    stamp_of,
     table,
 )
 
@@ -215,4 +216,80 @@ def slashed_frames(drive: Recording, folder: Path) -> Path:
     made = drive.framed()
     for topic in LIDARS:
         made = made.each(topic, lambda m: reframed(m, '/' + m.header.frame_id))
+    return made.write(folder / 'bag')
+
+
+@lie(MENDED, WARNED, REFUSED, about=r'map|frame|odom', drive='turns')
+def map_clouds_alone(drive: Recording, folder: Path) -> Path:
+    """All clouds there are have been moved into the frame map."""
+    poses = drive.of('/ground_truth/odometry')
+    stamps = np.array([stamp_of(pose) for pose in poses])
+    made = _in_base(drive, drive)
+
+    def moved(cloud: object) -> object:
+        pose = poses[int(np.abs(stamps - stamp_of(cloud)).argmin())].pose.pose
+        turn = Rotation.from_quat(
+            [pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w]
+        )
+        at = np.array([pose.position.x, pose.position.y, pose.position.z])
+        return reframed(
+            cloud_of(cloud, table((turn.apply(points_of(cloud)) + at).astype(np.float32))), 'map'
+        )
+
+    return made.each(LIDARS, moved).bare().write(folder / 'bag')
+
+
+@lie(MENDED, WARNED, REFUSED, about=EXTRINSICS + '|left|right', drive='turns')
+def tf_inverted(drive: Recording, folder: Path) -> Path:
+    """Transforms the other way round under the right names: base_link in the LiDARs' frames."""
+    tree = {
+        name: {'T_base_sensor': setting_of(np.linalg.inv(_pose(drive, name)))}
+        for name in ('left', 'right')
+    }
+    return drive.with_settings({'lidars': tree}).framed().write(folder / 'bag')
+
+
+@lie(MENDED, WARNED, REFUSED, about=EXTRINSICS + '|left|right|quaternion', drive='turns')
+def quaternion_w_first(drive: Recording, folder: Path) -> Path:
+    """Quaternions of the LiDARs written with w first."""
+    tree = {}
+    for name in ('left', 'right'):
+        pose = _pose(drive, name)
+        x, y, z, w = (float(v) for v in Rotation.from_matrix(pose[:3, :3]).as_quat())
+        tree[name] = {'T_base_sensor': [*(float(v) for v in pose[:3, 3]), w, x, y, z]}
+    return drive.with_settings({'lidars': tree}).write(folder / 'bag')
+
+
+@lie(MENDED, WARNED, REFUSED, about=EXTRINSICS + '|left|right', drive='turns')
+def no_tilt(drive: Recording, folder: Path) -> Path:
+    """Lever arms of the LiDARs given, and no rotation."""
+    poses = {name: _pose(drive, name) for name in ('left', 'right')}
+    for pose in poses.values():
+        pose[:3, :3] = np.eye(3)
+    return _posed(drive, **poses).write(folder / 'bag')
+
+
+@lie(MENDED, WARNED, REFUSED, about=r'left|right|topic', drive='turns')
+def exchanged_midway(drive: Recording, folder: Path) -> Path:
+    """Left and right exchange their topics in the middle."""
+    until = (drive.start + drive.end) // 2
+    other = {LEFT: RIGHT, RIGHT: LEFT}
+    items = [
+        (t, other.get(topic, topic) if t > until else topic, m) for t, topic, m in drive.items
+    ]
+    return drive.with_items(items).write(folder / 'bag')
+
+
+@lie(MENDED, WARNED, REFUSED, about=EXTRINSICS, drive='turns')
+def no_extrinsics_turns(drive: Recording, folder: Path) -> Path:
+    """No extrinsics anywhere, over bends."""
+    return drive.bare().write(folder / 'bag')
+
+
+@lie(MENDED, WARNED, REFUSED, about=EXTRINSICS + '|frame', drive='turns')
+def one_topic_unplaced(drive: Recording, folder: Path) -> Path:
+    """Two LiDARs in turn on one topic, told apart by frame_id, no extrinsics anywhere."""
+    made = drive.bare()
+    for topic in LIDARS:
+        made = made.renamed(topic, '/lidar/points')
     return made.write(folder / 'bag')

@@ -219,3 +219,99 @@ def lidars_alone(drive: Recording, folder: Path) -> Path:
     """No IMU and no fixes at all."""
     kept = [item for item in drive.items if item[1].startswith('/points') or item[1] == TRUTH]
     return drive.with_items(kept).write(folder / 'bag')
+
+
+@lie(MENDED, WARNED, about=r'imu', drive='turns')
+def no_gravity_tilted(drive: Recording, folder: Path) -> Path:
+    """Gravity taken out, and the IMU rolled by 25 degrees on its mount."""
+    made = _measuring(drive, lambda a: a - [0.0, 0.0, GRAVITY])
+    cosine, sine = np.cos(np.radians(25.0)), np.sin(np.radians(25.0))
+    return _turned(made, [[1, 0, 0], [0, cosine, sine], [0, -sine, cosine]]).write(folder / 'bag')
+
+
+@lie(MENDED, WARNED, about=r'imu', drive='turns')
+def rates_halved(drive: Recording, folder: Path) -> Path:
+    """Rates half as large as they are, as of a wrong full scale."""
+    return _measuring(drive, rate=lambda w: 0.5 * w).write(folder / 'bag')
+
+
+@lie(MENDED, WARNED, about=r'imu', drive='turns')
+def accelerations_doubled(drive: Recording, folder: Path) -> Path:
+    """Accelerations twice as large, as of a wrong full scale."""
+    return _measuring(drive, lambda a: 2.0 * a).write(folder / 'bag')
+
+
+@lie(MENDED, WARNED, SOUND, about=r'imu', drive='turns', factor=2.0)
+def gyro_biased(drive: Recording, folder: Path) -> Path:
+    """A bias of 3 deg/s on the yaw rate."""
+    return _measuring(drive, rate=lambda w: w + np.radians([0.0, 0.0, 3.0])).write(folder / 'bag')
+
+
+@lie(MENDED, WARNED, about=r'imu', drive='turns')
+def gyro_axes_apart(drive: Recording, folder: Path) -> Path:
+    """Axes of the gyroscope alone exchanged: its yaw rate stands on y."""
+    swap = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])
+    return _measuring(drive, rate=lambda w: swap @ w).write(folder / 'bag')
+
+
+@lie(MENDED, WARNED, about=r'imu', drive='turns')
+def left_handed(drive: Recording, folder: Path) -> Path:
+    """Left-handed IMU: y to the right in both, and the yaw rate clockwise."""
+    return _measuring(drive, lambda a: a * [1, -1, 1], lambda w: w * [-1, 1, -1]).write(
+        folder / 'bag'
+    )
+
+
+@lie(MENDED, WARNED, about=r'imu', drive='turns')
+def yaw_rate_mirrored_turns(drive: Recording, folder: Path) -> Path:
+    """Only the sign of the yaw rate is wrong, over bends."""
+    return _measuring(drive, rate=lambda w: w * [1.0, 1.0, -1.0]).write(folder / 'bag')
+
+
+@lie(MENDED, WARNED, about=r'imu', drive='turns')
+def axes_yawed_turns(drive: Recording, folder: Path) -> Path:
+    """IMU turned by 90 degrees about its upward axis, over bends."""
+    return _turned(drive, [[0, 1, 0], [-1, 0, 0], [0, 0, 1]]).write(folder / 'bag')
+
+
+@lie(MENDED, WARNED, about=r'imu', drive='turns')
+def gyro_dies(drive: Recording, folder: Path) -> Path:
+    """The gyroscope says zeros after a third of the drive, the accelerometer lives."""
+    until = drive.start + (drive.end - drive.start) // 3
+    zero = vector([0.0, 0.0, 0.0])
+    return drive.each(
+        IMU, lambda m: m if stamp_of(m) < until else replace(m, angular_velocity=zero)
+    ).write(folder / 'bag')
+
+
+@lie(MENDED, WARNED, SOUND, about=r'imu', drive='turns')
+def one_upside_down(drive: Recording, folder: Path) -> Path:
+    """Two IMUs: one upside down without a transform, and the real one with one."""
+    framed = drive.framed().renamed(IMU, '/xsens/data')
+    down = np.array([[1.0, 0, 0], [0, -1.0, 0], [0, 0, -1.0]])
+    other = [
+        (
+            t,
+            '/camera/imu',
+            replace(
+                m,
+                header=replace(m.header, frame_id='camera_imu'),
+                linear_acceleration=vector(down @ numbers(m.linear_acceleration)),
+                angular_velocity=vector(down @ numbers(m.angular_velocity)),
+            ),
+        )
+        for t, topic, m in framed.items
+        if topic == '/xsens/data'
+    ]
+    return framed.plus(other).write(folder / 'bag')
+
+
+@lie(MENDED, WARNED, about=r'imu', drive='turns')
+def swapped_vectors(drive: Recording, folder: Path) -> Path:
+    """Rates where the accelerations should be, and accelerations where the rates should be."""
+    return drive.each(
+        IMU,
+        lambda m: replace(
+            m, linear_acceleration=m.angular_velocity, angular_velocity=m.linear_acceleration
+        ),
+    ).write(folder / 'bag')

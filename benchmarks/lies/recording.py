@@ -290,12 +290,17 @@ def times_of(points: NDArray[np.float32]) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class DriveKind:
-    """How a drive is simulated, and whether its points have times."""
+    """How a drive is simulated, whether its points have times, how long it is, and where.
+
+    ``place`` are degrees of latitude and longitude of its first fix.
+    """
 
     scene: SceneKind
     motion: MotionKind
     timed: bool = False
     fixes: int = 1
+    seconds: float = 5.0
+    place: tuple[float, float] | None = None
 
 
 DRIVES = {
@@ -304,24 +309,25 @@ DRIVES = {
     'start': DriveKind(SceneKind.STREET, MotionKind.ACCEL),
     'timed': DriveKind(SceneKind.CURVE, MotionKind.CONST, timed=True),
     'fixes': DriveKind(SceneKind.STREET, MotionKind.CONST, fixes=5),
+    'turns': DriveKind(SceneKind.CURVE, MotionKind.MIXED, seconds=25.0),
+    'europe': DriveKind(SceneKind.CURVE, MotionKind.MIXED, seconds=25.0, place=(48.1, 11.6)),
 }
 """The unharmed drives: what each lie is told of."""
 
 
-def make_drive(kind: DriveKind, folder: Path, seconds: float = 5.0, every: int = 8) -> Recording:
+def make_drive(kind: DriveKind, folder: Path, every: int = 8) -> Recording:
     """Simulate a drive and read it; of its points one in ``every`` is kept.
 
     Args:
         kind: Which one.
         folder: Where its KAIST folder and the bag made of it are, or are to be.
-        seconds: How long it is.
         every: How much its clouds are thinned, at random, for the points of a column come in turn.
     """
     kaist, bag = folder / 'kaist', folder / 'bag'
     if not bag.is_dir():
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
-        simulate(kaist, SimulationOptions(kind.scene, kind.motion, seconds, seed=11))
+        simulate(kaist, SimulationOptions(kind.scene, kind.motion, kind.seconds, seed=11))
         rng = np.random.default_rng(11)
         for path in sorted((kaist / 'sensor_data').glob('VLP_*/*.bin')):
             points = np.fromfile(path, dtype='<f4').reshape(-1, 4)
@@ -329,6 +335,8 @@ def make_drive(kind: DriveKind, folder: Path, seconds: float = 5.0, every: int =
         convert(kaist, bag)
     made = Recording(tuple(read_items(bag)), read_yaml(bag / SETTINGS_FILE), kaist)
     made = made.each(LIDARS, _timed if kind.timed else _plain)
+    if kind.place is not None:
+        made = _placed(made, *kind.place)
     return made if kind.fixes == 1 else _with_fixes(made, kind.fixes)
 
 
@@ -346,6 +354,21 @@ def _plain(cloud: Any) -> Any:
 def _timed(cloud: Any) -> Any:
     points = points_of(cloud)
     return cloud_of(cloud, table(points, time=('<f4', times_of(points))))
+
+
+def _placed(recording: Recording, latitude: float, longitude: float) -> Recording:
+    """With the fixes moved to another place on the earth, the same metres north and east."""
+    first = recording.of(FIX)[0]
+    wider = np.cos(np.radians(first.latitude)) / np.cos(np.radians(latitude))
+
+    def moved(fix: Any) -> Any:
+        return replace(
+            fix,
+            latitude=latitude + fix.latitude - first.latitude,
+            longitude=float(longitude + wider * (fix.longitude - first.longitude)),
+        )
+
+    return recording.each(FIX, moved)
 
 
 def _with_fixes(recording: Recording, rate: int) -> Recording:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from incremental_mapper.checks.clocks import clock_findings, unstamped_finding
+from incremental_mapper.checks.coarse_stamps import coarse_finding, is_coarse, standing_steps
 from incremental_mapper.checks.finding import Finding, Severity
 from incremental_mapper.checks.sensor_clocks import NOT_LIDARS, SensorClock
 from incremental_mapper.config import Tree
@@ -30,6 +31,12 @@ _PASSES = 1_000_000
 """Nanoseconds from message to message, at least, where record times are of a recording."""
 _ALL = 2000
 """Messages that are read of a bag without an index, from its beginning on."""
+
+_COARSE = 40
+"""Consecutive messages that are read where the first and the last ones have stamps that stand."""
+_PAIRS = 2
+"""So many of the first and last stamps that stand make a suspicion: a message recorded twice is
+one."""
 
 Logged: TypeAlias = tuple[Any, int, bytes]
 """A connection of the bag, a record time in nanoseconds, and a message as it lies in the bag."""
@@ -98,6 +105,7 @@ class ClockLook:
         self.findings: tuple[Finding, ...] = ()
         self._look()
         self._restamp()
+        self._restamp_coarse()
 
     def clocks(self, offsets: Mapping[str, int], chosen: Sequence[str]) -> list[SensorClock]:
         """What was read, with the offsets (ns) added; ``chosen`` are sensors whose are set."""
@@ -149,6 +157,37 @@ class ClockLook:
         self.findings = tuple(
             unstamped_finding(name, len(times), name in useful) for name, times in bare.items()
         )
+
+    def _restamp_coarse(self) -> None:
+        """Let record times stand in where the stamps of a sensor stand still and leap."""
+        for topic, by_frame in self._sensors.items():
+            times = self.times.get(topic)
+            if times is None or len(times) < _COARSE:
+                continue
+            for frame, name in by_frame.items():
+                pairs = np.array(sorted(self._pairs.get(name, [])), dtype=np.int64).reshape(-1, 2)
+                if name in self.restamped or standing_steps(pairs) < _PAIRS:
+                    continue
+                start = int(times[(len(times) - _COARSE) // 2])
+                run = self._pairs_of(topic, frame, start)
+                if not is_coarse(run):
+                    continue
+                self.restamped |= {name}
+                self._pairs[name] = [(received, received) for received, _ in pairs.tolist()]
+                self.findings += (coarse_finding(name, standing_steps(run), len(run)),)
+
+    def _pairs_of(self, topic: str, frame: str | None, start: int) -> NDArray[np.int64]:
+        """Record times and stamps (N, 2) of consecutive messages of one sensor."""
+        found = []
+        messages = self._messages([topic], start)
+        for _, (connection, received, data) in zip(range(2 * _COARSE), messages, strict=False):
+            try:
+                stamp, its = peek_header(data, hasattr(connection.owner, 'indexes'))
+            except (struct.error, UnicodeDecodeError):
+                continue
+            if frame is None or its == frame:
+                found.append((received, stamp))
+        return np.array(found[:_COARSE], dtype=np.int64).reshape(-1, 2)
 
     def _look(self) -> None:
         self.times = record_times(self._reader, list(self._sensors))

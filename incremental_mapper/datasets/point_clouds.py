@@ -123,8 +123,8 @@ def cloud_table(message: Any) -> CloudTable:
 def _in_millimetres(table: NDArray[np.void]) -> bool:
     """Whether a cloud around its LiDAR has coordinates too large for metres."""
     sample = table[:: max(len(table) // _JUDGED, 1)]
-    points = np.stack([sample[name].astype(np.float64) for name in 'xyz'], axis=1)
-    with np.errstate(over='ignore', invalid='ignore'):
+    with np.errstate(over='ignore', invalid='ignore'):  # signalling NaNs
+        points = np.stack([sample[name].astype(np.float64) for name in 'xyz'], axis=1)
         distance = np.abs(points).max(axis=1)
     points = points[np.isfinite(distance) & (distance > 0.0)]
     if len(points) < _FEWEST_JUDGED:

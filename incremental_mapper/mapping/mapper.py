@@ -29,10 +29,17 @@ from incremental_mapper.mapping.judgement import judge_map
 from incremental_mapper.mapping.load_shedding import NO_SHEDDING, LoadShedding
 from incremental_mapper.mapping.newest_state import NewestState, newest_state
 from incremental_mapper.mapping.result import MapResult, WindowResult
+from incremental_mapper.mapping.scan_intake import ScanIntake
 from incremental_mapper.mapping.statistics import MapStatistics, Totals, map_statistics, window_row
 from incremental_mapper.mapping.watch import Watch
 from incremental_mapper.mapping.window_buffer import Window, WindowBuffer, joined
-from incremental_mapper.measurements import NANOSECONDS, Drops, ImuSample, Measurement
+from incremental_mapper.measurements import (
+    NANOSECONDS,
+    Drops,
+    ImuSample,
+    LidarScan,
+    Measurement,
+)
 from incremental_mapper.selection.bridging import bridged
 from incremental_mapper.selection.choice import Choice
 from incremental_mapper.selection.strategies import find_strategy
@@ -89,6 +96,7 @@ class Mapper:
         self.config = config
         self._strategy = find_strategy(config.selection.strategy)
         self._imu = ImuIntake(config.imu, config.preintegration.gravity)
+        self._scans = ScanIntake()
         awaited = [name for name in sensors if name != 'imu' or config.imu.enabled]
         self._buffer = WindowBuffer(config.window, awaited)
         # Closed, and waiting for their scans or to be merged with the next.
@@ -144,7 +152,11 @@ class Mapper:
         """
         self._totals.received[measurement.sensor] += 1
         self._watch.measurement(measurement)
-        taken = self._imu.take(measurement) if isinstance(measurement, ImuSample) else measurement
+        taken: Measurement | None = measurement
+        if isinstance(measurement, ImuSample):
+            taken = self._imu.take(measurement)
+        elif isinstance(measurement, LidarScan):
+            taken = self._scans.take(measurement)
         if taken is not None:
             self._buffer.push(taken)
         self._shedding = shedding
@@ -243,7 +255,11 @@ class Mapper:
             self._state,
             self._base,
             self._totals,
-            drops=self._buffer.drops + self._front_end.drops + self._failed + self._imu.drops,
+            drops=self._buffer.drops
+            + self._front_end.drops
+            + self._failed
+            + self._imu.drops
+            + self._scans.drops,
             notes=self._front_end.notes,
             late=self._buffer.late,
             unused=[item.core for item in self._carried],

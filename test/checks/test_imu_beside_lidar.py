@@ -144,3 +144,15 @@ def test_matches_that_are_mere_noise_prove_nothing_of_the_imu():
 
 def test_clocks_that_are_hours_apart_compare_nothing():
     assert check_motion(evidence(late=7200.0), Imu(), True) == ()
+
+
+@pytest.mark.parametrize('rate', [0.5, 0.8, 1.4, 2.0])
+def test_a_full_scale_that_is_set_wrong_is_found_where_the_car_turns(rate):
+    found = only(check_motion(evidence(rate=rate, seconds=20.0), Imu()))
+    assert (found.rule, found.severity) == ('imu_rate_scale', Severity.MENDED)
+    assert found.settings['imu']['rate_scale'] == pytest.approx(1 / rate, rel=0.05)
+
+
+def test_a_scale_that_noise_makes_is_none():
+    for rate in (0.95, 1.05):
+        assert check_motion(evidence(rate=rate, seconds=20.0), Imu()) == ()

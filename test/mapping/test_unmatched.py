@@ -18,6 +18,7 @@ WALLS = np.vstack(
 
 
 def scan(number, points=WALLS):
+    points = points + RNG.normal(scale=0.005, size=points.shape)  # no LiDAR repeats a cloud
     return make_scan(1_500_000_000_000 * MS + number * 100 * MS, 'left', points)
 
 

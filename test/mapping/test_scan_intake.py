@@ -1,0 +1,36 @@
+"""Scans that a driver repeats are left out and counted."""
+
+import numpy as np
+
+from incremental_mapper.mapping.scan_intake import ScanIntake
+from incremental_mapper.measurements import make_scan
+
+POINTS = np.random.default_rng(0).normal(scale=10.0, size=(500, 3))
+
+
+def scan(number, points, sensor='left'):
+    return make_scan(10**18 + number * 10**8, sensor, points)
+
+
+def test_a_cloud_that_comes_again_is_left_out_and_counted():
+    intake = ScanIntake()
+    moved = POINTS + 0.01
+    taken = [
+        intake.take(scan(number, points)) for number, points in enumerate([POINTS] * 3 + [moved])
+    ]
+    assert [one is not None for one in taken] == [True, False, False, True]
+    assert intake.drops == {('left', 'repeated_cloud'): 2}
+
+
+def test_one_other_point_makes_another_cloud():
+    intake = ScanIntake()
+    other = POINTS.copy()
+    other[100, 2] += 0.002
+    assert intake.take(scan(0, POINTS)) and intake.take(scan(1, other))
+    assert intake.take(scan(2, POINTS, 'right'))
+    assert not intake.drops
+
+
+def test_the_same_message_twice_is_for_the_window_buffer():
+    intake = ScanIntake()
+    assert intake.take(scan(0, POINTS)) and intake.take(scan(0, POINTS))
