@@ -218,6 +218,6 @@ def lidars_drift(drive: Recording, folder: Path) -> Path:
 def imu_jitter(drive: Recording, folder: Path) -> Path:
     """IMU stamps scatter by 30 ms, out of order."""
     rng = np.random.default_rng(8)
-    return drive.each(
-        IMU, lambda m: restamped(m, stamp_of(m) + int(rng.normal(scale=3e7)))
-    ).write(folder / 'bag')
+    return drive.each(IMU, lambda m: restamped(m, stamp_of(m) + int(rng.normal(scale=3e7)))).write(
+        folder / 'bag'
+    )

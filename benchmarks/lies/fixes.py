@@ -239,9 +239,7 @@ def four_decimals(drive: Recording, folder: Path) -> Path:
     """Degrees rounded to four decimals, in steps of 10 m."""
     return _fixes(
         drive,
-        lambda _, m: replace(
-            m, latitude=round(m.latitude, 4), longitude=round(m.longitude, 4)
-        ),
+        lambda _, m: replace(m, latitude=round(m.latitude, 4), longitude=round(m.longitude, 4)),
     ).write(folder / 'bag')
 
 

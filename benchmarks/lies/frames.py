@@ -274,9 +274,7 @@ def exchanged_midway(drive: Recording, folder: Path) -> Path:
     """Left and right exchange their topics in the middle."""
     until = (drive.start + drive.end) // 2
     other = {LEFT: RIGHT, RIGHT: LEFT}
-    items = [
-        (t, other.get(topic, topic) if t > until else topic, m) for t, topic, m in drive.items
-    ]
+    items = [(t, other.get(topic, topic) if t > until else topic, m) for t, topic, m in drive.items]
     return drive.with_items(items).write(folder / 'bag')
 
 

@@ -11,6 +11,7 @@ from incremental_mapper.frontend.fix_gate import FixGate
 from incremental_mapper.frontend.front_end import Prepared
 from incremental_mapper.mapping.imu_watch import ImuWatch
 from incremental_mapper.mapping.judgement import FitWatch
+from incremental_mapper.mapping.mount_watch import MountWatch
 from incremental_mapper.mapping.presence_watch import PresenceWatch
 from incremental_mapper.mapping.window_buffer import Window
 from incremental_mapper.measurements import ImuSample, Measurement
@@ -50,6 +51,7 @@ class Watch:
         self.fit = FitWatch(config)
         self.mend: Tree = {}
         self._imu = ImuWatch(config)
+        self._mounts = MountWatch(config)
         self._gate: FixGate | None = None
         self._presence = PresenceWatch()
 
@@ -66,6 +68,7 @@ class Watch:
     def measurement(self, measurement: Measurement) -> None:
         """Look at a measurement as it comes in."""
         if isinstance(measurement, ImuSample):
+            self._mounts.sample(measurement)
             for finding in self._imu.sample(measurement):
                 self.add(finding)
 
@@ -78,7 +81,7 @@ class Watch:
     @_guarded
     def prepared(self, prepared: Sequence[Prepared]) -> None:
         """Look at what the front end made of a window's core measurements."""
-        for finding in self._imu.matches(prepared):
+        for finding in (*self._mounts.matches(prepared), *self._imu.matches(prepared)):
             self.add(finding)
 
     @_guarded
@@ -97,7 +100,7 @@ class Watch:
     @_guarded
     def end(self) -> None:
         """Decide what waits for more measurements: none will come."""
-        for finding in self._imu.end():
+        for finding in (*self._mounts.end(), *self._imu.end()):
             self.add(finding)
 
     def add(self, finding: Finding) -> None:

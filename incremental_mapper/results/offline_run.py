@@ -272,7 +272,9 @@ def _mending(drive: Drive, attempt: Callable[[Drive, bool], Run]) -> Run:
             tree = merge(drive.tree, mend.settings)
             source = open_source(drive.source.info.path, tree)
             config = effective_config(source, tree, drive.where)
-            mended = (*drive.mended, *mend.findings)
+            # With one LiDAR's pose in the settings the others are not looked for any more.
+            left = (one for one in drive.source.info.findings if one.rule == 'lidar_left_out')
+            mended = (*drive.mended, *left, *mend.findings)
             drive = replace(drive, source=source, config=config, tree=tree, mended=mended)
     return attempt(drive, False)
 

@@ -14,7 +14,8 @@ def micro(stamps):
 
 
 @pytest.mark.parametrize(
-    'stamps', [RECORDED // SECOND * SECOND, micro(RECORDED), RECORDED // (SECOND // 2) * SECOND // 2]
+    'stamps',
+    [RECORDED // SECOND * SECOND, micro(RECORDED), RECORDED // (SECOND // 2) * SECOND // 2],
 )
 def test_stamps_that_stand_are_found(stamps):
     assert is_coarse(np.column_stack([RECORDED, stamps]))
