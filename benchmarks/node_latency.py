@@ -12,10 +12,10 @@ a message to when the window's ~/odometry was received here. It is given twice:
 
 from the closing message
     the message that let the window be closed. A window is closed once every sensor that is alive
-    has passed its end, or once one is ``window.lateness`` (0.5 s) beyond it. With a fix a second,
-    GNSS has rarely passed the end, so it is mostly ``lateness`` that closes a window. Which
-    message it was is found by handing all of them, in the order in which they were published, to
-    the same window buffer that the node uses. This is what mapping and transport take.
+    has passed its end or is not due before it, or has been waited for as long as is usual for it
+    (``window.predict``), or once one is ``window.lateness`` (0.5 s) beyond it. Which message it was
+    is found by handing all of them, in the order in which they were published, to the same window
+    buffer that the node uses. This is what mapping and transport take.
 from the window's own last message
     the newest message whose stamp lies in the window. This is how old a pose is when it comes,
     waiting for what may still belong to the window included.
@@ -174,7 +174,8 @@ def find_closings(
     tree: dict[str, object] = {}
     for path in drive.settings:
         tree = merge(tree, read_yaml(path))
-    buffer = WindowBuffer(make_config(tree).window, drive.counts)
+    window = make_config(tree).window
+    buffer = WindowBuffer(window, drive.counts, window.predict)
     sent = {(item.stamp, item.sensor): item.sent for item in published}
     closings: dict[tuple[int, int], Closing] = {}
     for item in sorted([*published, *missed], key=lambda item: item.sent):

@@ -107,6 +107,9 @@ class WindowSettings(Section):
     """Length of a window in seconds."""
     lateness: float = Field(default=0.5, ge=0.0, le=60.0)
     """Seconds that a window waits for a sensor that fell silent."""
+    predict: bool = True
+    """Node: wait for each sensor no longer than its own period, jitter and lateness so far say.
+    `map` waits in full, as the node does without it."""
     max_carry: float = Field(default=1.0, ge=0.0, le=60.0)
     """Seconds for which unconnected measurements are carried before a bridge is built."""
 

@@ -82,12 +82,13 @@ class Mapper:
     y left, z up. One thread at a time may use a mapper.
     """
 
-    def __init__(self, config: Config, sensors: Sequence[str] = ()) -> None:
+    def __init__(self, config: Config, sensors: Sequence[str] = (), predict: bool = False) -> None:
         """Make ready for the first measurement.
 
         Args:
             config: All settings.
             sensors: Names to wait for from the start; others are waited for once they are seen.
+            predict: Wait for no sensor beyond what is usual for it; whoever needs windows soon.
 
         Raises:
             ConfigError: The strategy is unknown or cannot be loaded.
@@ -98,7 +99,7 @@ class Mapper:
         self._imu = ImuIntake(config.imu, config.preintegration.gravity)
         self._scans = ScanIntake()
         awaited = [name for name in sensors if name != 'imu' or config.imu.enabled]
-        self._buffer = WindowBuffer(config.window, awaited)
+        self._buffer = WindowBuffer(config.window, awaited, predict)
         # Closed, and waiting for their scans or to be merged with the next.
         self._held: list[tuple[Window, Preparation]] = []
         self._shedding = NO_SHEDDING

@@ -4,6 +4,11 @@ A window is closed once every live sensor has passed its end, or once the newest
 ``lateness`` beyond it. The time of arrival plays no part, so the windows do not depend on how
 the sensors' messages were interleaved, as long as each sensor's own come in order and none is
 later than that.
+
+Whoever needs windows soon has the buffer predict: a sensor whose next message is not due before a
+window's end, or would have come by now, is not waited for. The windows are the same as long as
+every sensor keeps to what was usual for it; a message that does not, and comes after its window
+was closed, is late.
 """
 
 from collections import Counter
@@ -11,6 +16,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from incremental_mapper.config import WindowSettings
+from incremental_mapper.mapping.pace import Pace
 from incremental_mapper.measurements import (
     NANOSECONDS,
     CoreInput,
@@ -26,6 +32,8 @@ LEAP_WITNESSES = 5
 AGREEMENT = 60 * NANOSECONDS
 """Witnesses of one leap are no further apart from each other than this; stray stamps are anywhere.
 Keyframes of real recordings come every few seconds."""
+PATIENCE = 3 * NANOSECONDS
+"""A buffer that predicts waits so long for sensors that have never sent anything."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,10 +63,15 @@ class WindowBuffer:
     """Sorts incoming measurements and hands out closed windows in order.
 
     ``sensors`` are those to wait for from the start; others are waited for once they are seen.
+    With ``predict`` none is waited for beyond what is usual for it.
     """
 
-    def __init__(self, settings: WindowSettings, sensors: Iterable[str] = ()) -> None:
+    def __init__(
+        self, settings: WindowSettings, sensors: Iterable[str] = (), predict: bool = False
+    ) -> None:
         self._awaited = set(sensors)
+        self._predict = predict
+        self._paces: dict[str, Pace] = {}
         self._duration = round(settings.duration * NANOSECONDS)
         self._lateness = round(settings.lateness * NANOSECONDS)
         self._core: dict[tuple[int, str], CoreInput] = {}
@@ -67,6 +80,7 @@ class WindowBuffer:
         self._leap: list[Measurement] = []
         self._first: list[Measurement] | None = []  # None once the clock is known
         self._start: int | None = None
+        self._first_start = 0  # of the whole grid
         self._closed_core = -1  # newest core stamp that was handed out
         self._closed_imu = -1
         self.drops: Drops = Counter()
@@ -90,7 +104,10 @@ class WindowBuffer:
             if len(self._leap) < LEAP_WITNESSES:
                 return
             witnesses, self._leap = self._leap, []
-            self._newest = dict.fromkeys(self._newest, min(witness.stamp for witness in witnesses))
+            first = min(witness.stamp for witness in witnesses)
+            self._newest = dict.fromkeys(self._newest, first)
+            for pace in self._paces.values():
+                pace.move(first)
             for witness in witnesses:
                 self._insert(witness)
             return
@@ -161,14 +178,35 @@ class WindowBuffer:
             if self._start is not None and stamp < self._start:
                 self.late += 1
             self._core[key] = measurement
+        if self._predict:
+            self._learn(stamp, sensor)
         self._newest[sensor] = max(stamp, self._newest.get(sensor, stamp))
+
+    def _learn(self, stamp: int, sensor: str) -> None:
+        """Keep what is usual for a sensor, before its stamp is the newest."""
+        pace = self._paces.get(sensor)
+        if pace is None:
+            pace = self._paces[sensor] = Pace(stamp)
+        pace.take(stamp, max(self._newest.values(), default=stamp), self._lateness)
 
     def _watermark(self) -> int:
         """All windows that end at or before this stamp are closed."""
         newest = max(self._newest.values(), default=0)
         slowest = min(self._newest.values(), default=0)
         patient = newest - self._lateness
+        # Where the grid starts is decided once, and all windows depend on it.
+        if self._predict and self._start is not None:
+            return self._predicted(newest, patient)
         return patient if self._awaited - self._newest.keys() else max(slowest, patient)
+
+    def _predicted(self, newest: int, patient: int) -> int:
+        """The same by what is usual for each sensor."""
+        silent = self._awaited - self._newest.keys()
+        if silent and newest - self._first_start < PATIENCE:
+            return patient
+        live = [p for p in self._paces.values() if not p.silent(newest, self._lateness)]
+        grain = min((p.longest for p in live if p.longest is not None), default=0)
+        return min((p.complete_until(newest, grain, self._lateness) for p in live), default=newest)
 
     def _next(self, watermark: int | None) -> Window | None:
         if not self._core:
@@ -178,7 +216,7 @@ class WindowBuffer:
             # The grid starts at the first core stamp, once nothing older can come.
             if watermark is not None and watermark < oldest + self._duration:
                 return None
-            self._start = oldest
+            self._start = self._first_start = oldest
         # Empty windows are passed over, but only once nothing can come to fill them.
         start = self._start + max(oldest - self._start, 0) // self._duration * self._duration
         end = start + self._duration

@@ -39,7 +39,7 @@ class MapSession:
         """Begin a map; ``mended`` is what ``config`` puts right."""
         self._mended = tuple(mended)
         self.limited_windows = self.scan_bytes = self.cloud_bytes = 0
-        self._mapper = Mapper(config, [*config.lidars, IMU, GNSS])
+        self._mapper = Mapper(config, [*config.lidars, IMU, GNSS], config.window.predict)
         self._live = LiveMap(self._mapper)
         self._started: float | None = None
         self._T_odom_base = gtsam.Pose3()
