@@ -336,8 +336,26 @@ class FrameSettings(Section):
     """Frame in which the car moves without jumps."""
     base: str = Field(default='base_link', min_length=1)
     """The car's own frame."""
-    publish_tf: bool = True
-    """Broadcast map to odom to base where tf2_ros is installed."""
+
+
+class TfMode(StrEnum):
+    """What is broadcast on /tf."""
+
+    BOTH = 'both'
+    MAP_TO_ODOM = 'map_to_odom'
+    NONE = 'none'
+
+
+class TfSettings(Section):
+    """Node: what it tells others of its frames, where tf2_msgs is installed."""
+
+    publish: TfMode = TfMode.BOTH
+    """both broadcasts map to odom and odom to base; map_to_odom only the first, held against the
+    robot's own odom to base as it is heard on /tf; none neither."""
+    sensors: bool = True
+    """Publish T_base_sensor of the settings on /tf_static where nobody else tells it."""
+    ahead: float = Field(default=0.0, ge=0.0, le=10.0)
+    """Seconds by which map to odom is dated into the future, for those who ask for the map now."""
 
 
 class SaveSettings(Section):
@@ -423,6 +441,7 @@ class Config(Section):
     map: MapSettings = MapSettings()
     path: PathSettings = PathSettings()
     frames: FrameSettings = FrameSettings()
+    tf: TfSettings = TfSettings()
     save: SaveSettings = SaveSettings()
     time_jump: TimeJumpSettings = TimeJumpSettings()
     queue: QueueSettings = QueueSettings()

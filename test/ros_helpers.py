@@ -48,6 +48,8 @@ INPUTS = {
 }
 OUTPUTS = {
     'odometry': Odometry,
+    'odom': Odometry,
+    'datum': NavSatFix,
     'poses': PoseArray,
     'path': Path,
     'map': PointCloud2,
@@ -55,6 +57,7 @@ OUTPUTS = {
     'graph': MarkerArray,
     'graph_stats': DiagnosticArray,
 }
+LATCHED = ('map', 'path', 'graph', 'graph_stats', 'datum')
 QUICK = {
     'mom': {'max_points': 100},
     'map': {'publish_period': 0.1},
@@ -184,7 +187,7 @@ class NodeSession:
 
     def listen(self, topic, kind, name, latched=None):
         """Collect a topic's messages under ``received[name]``."""
-        latched = name in ('map', 'path', 'graph', 'graph_stats') if latched is None else latched
+        latched = name in LATCHED if latched is None else latched
         durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
         qos = QoSProfile(depth=200, reliability=ReliabilityPolicy.RELIABLE, durability=durability)
         self.client.create_subscription(kind, topic, self.received[name].append, qos)

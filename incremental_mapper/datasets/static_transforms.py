@@ -30,14 +30,18 @@ class FrameTree:
     Attributes:
         edges: T_parent_child (4, 4) by parent and child.
         findings: transforms that could not be used.
+        wanted: name of the car's frame, if it is there.
     """
 
     edges: dict[Edge, NDArray[np.float64]] = field(default_factory=dict)
     findings: list[Finding] = field(default_factory=list)
+    wanted: str = BASE_FRAME
 
     def base(self) -> str | None:
-        """Name of the car's frame: ``base_link``, or the only one that ends in ``/base_link``."""
+        """Name of the car's frame: the wanted one, or the only one that ends in ``base_link``."""
         names = {name for edge in self.edges for name in edge}
+        if self.wanted in names:
+            return self.wanted
         found = [name for name in sorted(names) if name.split('/')[-1] == BASE_FRAME]
         return BASE_FRAME if BASE_FRAME in found else found[0] if len(found) == 1 else None
 

@@ -28,6 +28,8 @@ class NewestState:
         rate: Angular velocity of base_link along its own axes (3,), rad/s, from the gyroscope
             without its bias; None where no sample is near.
         rate_covariance: Of the rate (3, 3), rad^2/s^2: noise of one sample and of the bias.
+        bias: Of the IMU, m/s^2 and rad/s along its axes; None as long as the graph does not tell
+            the velocity.
     """
 
     stamp: int
@@ -37,6 +39,7 @@ class NewestState:
     velocity_covariance: NDArray[np.float64] | None = None
     rate: NDArray[np.float64] | None = None
     rate_covariance: NDArray[np.float64] | None = None
+    bias: gtsam.imuBias.ConstantBias | None = None
 
 
 def newest_state(state: GraphState, series: ImuSeries, config: Config) -> NewestState | None:
@@ -66,6 +69,7 @@ def newest_state(state: GraphState, series: ImuSeries, config: Config) -> Newest
         velocity_covariance=_in_base(state, cluster, pose, velocity) if inertial else None,
         rate=rate,
         rate_covariance=rate_covariance,
+        bias=state.last_bias if state.velocity_known else None,
     )
 
 

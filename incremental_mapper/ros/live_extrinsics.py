@@ -5,12 +5,15 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from incremental_mapper.checks.finding import Finding
 from incremental_mapper.config import Config, Tree
 from incremental_mapper.datasets.extrinsics import place_sensors
+from incremental_mapper.datasets.sensor_settings import extrinsics_of
 from incremental_mapper.datasets.static_transforms import (
     MOST_MESSAGES,
     MOVING_TOPIC,
@@ -21,6 +24,7 @@ from incremental_mapper.datasets.static_transforms import (
     clean,
     stamped_transforms,
 )
+from incremental_mapper.geometry import pose_matrix
 from incremental_mapper.measurements import Drops, Measurement
 from incremental_mapper.ros.inbox import Item, Renewal
 
@@ -64,7 +68,8 @@ class LiveExtrinsics:
         self._lidars = tuple(config.lidars)
         self._hand_on = hand_on
         self._tell = tell
-        self._tree = FrameTree()
+        self._base = clean(config.frames.base)
+        self._tree = FrameTree(wanted=self._base)
         self._still = StillTransforms()
         self._static = False
         self._messages = 0
@@ -117,6 +122,23 @@ class LiveExtrinsics:
         if self._since is not None and (self._held or self._changed):
             self._look()
 
+    def untold(self) -> dict[str, NDArray[np.float64]]:
+        """T_base_sensor (4, 4) of the parameters by frame_id, where no transform tells it.
+
+        Empty until others have had the time to tell.
+        """
+        if self._since is None or time.monotonic() - self._since < PATIENCE:
+            return {}
+        base = self._tree.base() or self._base
+        places: dict[str, NDArray[np.float64]] = {}
+        for sensor, frame in self._frames.items():
+            given = extrinsics_of(self._settings, sensor, self._lidars)
+            name = clean(frame)
+            own = name in ('', base)
+            if given is not None and not own and self._tree.between(base, name) is None:
+                places.setdefault(name, pose_matrix(given))
+        return places
+
     def wait_no_more(self) -> None:
         """No transforms will come."""
         self._open, self._alone = True, True
@@ -166,7 +188,7 @@ class LiveExtrinsics:
     def _all_placed(self, found: Tree) -> bool:
         """Whether every sensor has sent something, and somebody tells where it is."""
         known = {*_names(found), *_names(self._settings)}
-        base = (clean(self._tree.base() or ''), 'base_link')
+        base = (clean(self._tree.base() or ''), self._base)
         known |= {name for name, frame in self._frames.items() if clean(frame) in base}
         everything = {*self._lidars, 'imu', 'gnss'}
         return everything <= known and everything <= self._frames.keys()

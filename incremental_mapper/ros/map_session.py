@@ -5,13 +5,11 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
-import gtsam
-
 from incremental_mapper.checks.finding import Finding, ranked
 from incremental_mapper.config import Config, Tree
 from incremental_mapper.mapping.load_shedding import NO_SHEDDING, LoadShedding
 from incremental_mapper.mapping.mapper import Mapper
-from incremental_mapper.mapping.newest_state import NewestState
+from incremental_mapper.mapping.odometry_frame import OdometryFrame
 from incremental_mapper.mapping.result import WindowResult
 from incremental_mapper.mapping.statistics import peak_rss_mb
 from incremental_mapper.measurements import Drops, Measurement
@@ -42,8 +40,7 @@ class MapSession:
         self._mapper = Mapper(config, [*config.lidars, IMU, GNSS], config.window.predict)
         self._live = LiveMap(self._mapper)
         self._started: float | None = None
-        self._T_odom_base = gtsam.Pose3()
-        self._last_cluster: int | None = None
+        self._odometry = OdometryFrame(config.odometry)
         self._scans = 0
 
     def close(self) -> None:
@@ -129,29 +126,15 @@ class MapSession:
             'peak_rss_mb': peak_rss_mb(),
         }
         newest = self._mapper.newest() if result.clusters else None
-        T_odom_base = None if newest is None else self._move_odom(newest)
+        odometry = None if newest is None else self._odometry.follow(self._mapper.state, newest)
         scans = self._new_scans()
         self.scan_bytes += sum(scan.stored.nbytes for scan in scans)
         self.cloud_bytes = self._live.nbytes
         points = self._live.placed(scans)
         findings = ranked([*self._mended, *self._mapper.findings])
-        return WindowUpdate(result, newest, T_odom_base, points, stats, findings)
+        return WindowUpdate(result, newest, odometry, points, stats, findings)
 
     def _new_scans(self) -> Sequence[PlacedScan]:
         scans = self._mapper.state.scans
         before, self._scans = self._scans, len(scans)
         return scans[before:]
-
-    def _move_odom(self, newest: NewestState) -> gtsam.Pose3:
-        """The pose in the odometry frame: moved by what one estimate says of the last step.
-
-        Corrections of the map move both ends of the step, so the pose does not jump with them.
-        """
-        state = self._mapper.state
-        if self._last_cluster is None:
-            self._T_odom_base = newest.pose
-        else:
-            step = state.pose(self._last_cluster).between(newest.pose)
-            self._T_odom_base = self._T_odom_base.compose(step)
-        self._last_cluster = state.frontier.newest
-        return self._T_odom_base

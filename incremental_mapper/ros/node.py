@@ -242,6 +242,7 @@ class MapperNode:
         self._mend_inputs()
         self._worker.graph_span = self.parameters.config.graph.markers_span
         self._outputs.tick()
+        self._outputs.sensors(self._extrinsics.untold())
         overloaded = self._worker.inbox.shedding() != NO_SHEDDING
         if overloaded and not self._overloaded:
             self._logger.warning(

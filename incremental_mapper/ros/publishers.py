@@ -1,6 +1,7 @@
 """Publishers: every window at once, map, path and graph when they are due and someone listens."""
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,6 +9,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseArray
 from nav_msgs.msg import Odometry, Path
+from numpy.typing import NDArray
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
@@ -15,12 +17,14 @@ from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
 from incremental_mapper.config import Config
+from incremental_mapper.ros.datum_publisher import DatumPublisher
 from incremental_mapper.ros.inbox import Inbox, View
 from incremental_mapper.ros.live_map import GraphView, PathView
 from incremental_mapper.ros.markers import graph_markers, no_markers
 from incremental_mapper.ros.parameters import NodeParameters
 from incremental_mapper.ros.result_messages import (
     cloud_message,
+    in_odom,
     odometry_message,
     path_message,
     pose_array,
@@ -68,7 +72,9 @@ class Outputs:
         self._parameters = parameters
         self._frames = parameters.config.frames
         self._inbox = inbox
-        self._transforms = make_transforms(node, self._frames)
+        self.transforms = make_transforms(node, parameters.config.tf, self._frames)
+        self._datum = DatumPublisher(node, self._frames.map)
+        self._node = node
         self._node_name = node.get_name()
         self._windows = 0  # counts changes of the map
 
@@ -77,6 +83,7 @@ class Outputs:
 
         window, every_window = reliable(WINDOW_DEPTH), reliable(WINDOW_DEPTH, latched=True)
         self._odometry = publish(Odometry, '~/odometry', window)
+        self._odom = publish(Odometry, '~/odom', window)
         self._poses = publish(PoseArray, '~/poses', window)
         self._increment = publish(PointCloud2, '~/map_increment', window)
         self._stats = publish(DiagnosticArray, '~/graph_stats', every_window)
@@ -93,15 +100,24 @@ class Outputs:
         stamp = result.end if newest is None else newest.stamp
         name = f'{self._node_name}: graph'
         self._stats.publish(stats_message(stamp, result.row, update.stats, name))
-        if newest is None or update.T_odom_base is None:
+        self._datum.take(update.stats, stamp)
+        if newest is None or update.odometry is None:
             return
         self._windows += 1
         frame = self._frames.map
         self._odometry.publish(odometry_message(newest, frame, self._frames.base))
         self._poses.publish(pose_array(stamp, result.poses, frame))
-        self._transforms.send(stamp, newest.pose, update.T_odom_base)
+        in_frame = in_odom(newest, update.odometry)
+        self._odom.publish(odometry_message(in_frame, self._frames.odom, self._frames.base))
+        if self.transforms is not None:
+            self.transforms.send(stamp, newest.pose, update.odometry.pose)
         if self._increment.get_subscription_count() > 0:
             self._increment.publish(cloud_message(stamp, update.points, frame))
+
+    def sensors(self, places: Mapping[str, NDArray[np.float64]]) -> None:
+        """Tell where the sensors are, T_base_sensor (4, 4) by frame_id."""
+        if self.transforms is not None:
+            self.transforms.sensors(self._node.get_clock().now().nanoseconds, places)
 
     def view(self, update: ViewUpdate) -> None:
         """Publish a view that was asked for."""
@@ -119,6 +135,7 @@ class Outputs:
     def clear(self) -> None:
         """Take back what late joiners would get of a map that is no more."""
         self._windows += 1
+        self._datum.restart()
         empty = np.zeros((0, 3), dtype=np.float32)
         frame = self._frames.map
         for view, message in (

@@ -3,6 +3,7 @@
 import array
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import gtsam
@@ -17,6 +18,7 @@ from std_msgs.msg import Header
 
 from incremental_mapper.graph.factors import pose_numbers
 from incremental_mapper.mapping.newest_state import NewestState
+from incremental_mapper.mapping.odometry_frame import OdometryPose
 from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.ros.live_map import PathView
 
@@ -68,6 +70,12 @@ def odometry_message(newest: NewestState, frame: str, child: str) -> Odometry:
         twist[3:, 3:] = newest.rate_covariance
     message.twist.covariance = twist.ravel()
     return message
+
+
+def in_odom(newest: NewestState, odometry: OdometryPose) -> NewestState:
+    """The newest state as the continuous frame has it."""
+    velocity = odometry.T_map_odom.rotation().unrotate(newest.velocity)
+    return replace(newest, pose=odometry.pose, covariance=odometry.covariance, velocity=velocity)
 
 
 def ros_covariance(

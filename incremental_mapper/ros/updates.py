@@ -3,13 +3,13 @@
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
-import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
 from incremental_mapper.checks.finding import Finding
 from incremental_mapper.config import Config
 from incremental_mapper.mapping.newest_state import NewestState
+from incremental_mapper.mapping.odometry_frame import OdometryPose
 from incremental_mapper.mapping.result import WindowResult
 from incremental_mapper.ros.inbox import View
 from incremental_mapper.ros.live_map import GraphView, PathView
@@ -19,14 +19,14 @@ from incremental_mapper.ros.live_map import GraphView, PathView
 class WindowUpdate:
     """A window's result.
 
-    ``newest`` and ``T_odom_base`` are None where the window appended nothing; ``points`` (N, 3)
+    ``newest`` and ``odometry`` are None where the window appended nothing; ``points`` (N, 3)
     are its new points in the map, metres; ``stats`` the keys of stats.json so far; ``findings``
     everything that was found wrong with this map so far.
     """
 
     result: WindowResult
     newest: NewestState | None
-    T_odom_base: gtsam.Pose3 | None
+    odometry: OdometryPose | None
     points: NDArray[np.float64]
     stats: dict[str, Any]
     findings: tuple[Finding, ...]

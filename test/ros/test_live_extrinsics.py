@@ -42,10 +42,10 @@ BOTH = transforms(('base_link', 'velo_left', *LEFT), ('base_link', 'velo_right',
 class Run:
     """Extrinsics under test with everything that they handed on and told."""
 
-    def __init__(self, settings, waiting=True):
+    def __init__(self, settings, waiting=True, config=CONFIG):
         self.handed_on, self.told = [], []
         self.extrinsics = LiveExtrinsics(
-            settings, CONFIG, self.handed_on.append, self.told.append, waiting
+            settings, config, self.handed_on.append, self.told.append, waiting
         )
 
     def send(self, *sensors):
@@ -165,3 +165,44 @@ def test_a_lidar_that_nobody_places_beside_another_is_left_out_and_counted(patie
     assert run.sensors == ['left', 'imu']
     assert run.extrinsics.drops == {('right', 'unplaced'): 2}
     assert 'lidar_left_out' in {finding.rule for finding in run.extrinsics.findings}
+
+
+def test_what_only_the_parameters_tell_is_to_be_published_after_a_while(patience):
+    given = {'T_base_sensor': [*LEFT, 0.0, 0.0, 0.0, 1.0]}
+    run = Run({**GIVEN_REST, 'lidars': {'left': given, 'right': given}}, waiting=False)
+    run.extrinsics.static(transforms(('base_link', 'velo_right', *RIGHT)))
+    run.send('left', 'right')
+    assert run.extrinsics.untold() == {}
+    patience(0.0)
+    found = run.extrinsics.untold()
+    assert list(found) == ['velo_left']
+    assert tuple(found['velo_left'][:3, 3]) == LEFT
+    run.send('imu')
+    assert list(run.extrinsics.untold()) == ['velo_left', 'imu']
+    run.extrinsics.static(transforms(('base_link', 'imu', 0.0, 0.0, 0.0)))
+    assert list(run.extrinsics.untold()) == ['velo_left']
+
+
+def test_what_nobody_tells_is_not_published(patience):
+    patience(0.0)
+    run = Run({}, waiting=False)
+    run.send('left', 'right', 'imu')
+    assert run.extrinsics.untold() == {}
+
+
+def test_the_base_may_have_another_name():
+    run = Run(GIVEN_REST, config=merged_config(frames={'base': 'vehicle'}))
+    run.send('left', 'imu', 'right', 'gnss')
+    run.extrinsics.static(
+        transforms(
+            ('vehicle', 'base_link', 9.0, 9.0, 9.0),
+            ('vehicle', 'velo_left', *LEFT),
+            ('vehicle', 'velo_right', *RIGHT),
+        )
+    )
+    lidars = run.renewals[0].settings['lidars']
+    assert tuple(lidars['left']['T_base_sensor'][:3]) == LEFT
+
+
+def merged_config(**sections):
+    return make_config({'lidars': {'names': ['left', 'right']}, **sections})

@@ -77,6 +77,31 @@ def test_every_window_has_odometry_and_poses(session, offline):
     assert abs(newest.y) < 0.5 and abs(newest.z) < 0.5
 
 
+def test_odom_does_not_jump_and_has_the_twist_of_the_map(session, offline):
+    odometry, odom = session.received['odometry'], session.received['odom']
+    assert [stamp_of(message) for message in odom] == [stamp_of(message) for message in odometry]
+    assert {(m.header.frame_id, m.child_frame_id) for m in odom} == {('odom', 'base_link')}
+    for ours, theirs in zip(odom, odometry, strict=True):
+        assert ours.twist.twist.linear.x == pytest.approx(theirs.twist.twist.linear.x)
+        assert list(ours.twist.covariance) == list(theirs.twist.covariance)
+    steps = [
+        np.linalg.norm(np.diff([[p.x, p.y, p.z] for p in points], axis=0), axis=1)
+        for points in ([m.pose.pose.position for m in kind] for kind in (odom, odometry))
+    ]
+    seconds = np.diff([stamp_of(message) for message in odom]) / 1e9
+    assert np.abs(steps[0] - steps[0].mean() * seconds / seconds.mean()).max() < 0.15
+    variances = [message.pose.covariance[0] for message in odom]
+    assert variances == sorted(variances) and variances[0] == 0.0 < variances[-1]
+
+
+def test_datum_is_latched_once_the_map_is_enu(session, offline):
+    assert offline.result.stats['georeferenced']
+    newest = session.received['datum'][-1]
+    assert newest.header.frame_id == 'map'
+    place = [newest.latitude, newest.longitude, newest.altitude]
+    assert place == pytest.approx(offline.result.stats['datum'])
+
+
 def test_path_is_the_whole_trajectory(session, offline):
     path = session.received['path'][-1]
     saved = read_tum(session.folder / 'trajectory.tum')
