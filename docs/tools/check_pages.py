@@ -218,7 +218,9 @@ def check_node(arguments: Sequence[str]) -> list[str]:
         elif option == '-p':
             name, mark, given = value.partition(':=')
             found.append('' if mark else f'-p {value!r}: expected NAME:=VALUE')
-            found += check_yaml(_as_yaml(name, given))
+            # These are ROS's own, not of the schema.
+            if not name.startswith('qos_overrides.'):
+                found += check_yaml(_as_yaml(name, given))
     known = ('--ros-args', '--params-file', '-p', '-r', '--remap')
     found += [
         f'mapper_node has no option {word!r}'

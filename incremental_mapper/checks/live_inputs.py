@@ -97,3 +97,89 @@ def foreign_frame(lidar: str, topic: str, own: str, frame: str, count: int) -> F
         'another LiDAR on the same topic; they are left out',
         'give each its own topic, or list one more LiDAR with this topic in lidars.names',
     )
+
+
+def messages_lost(
+    sensor: str, topic: str, count: int, publishers: Sequence[str], override: str
+) -> Finding:
+    """Messages were lost on the way to a subscription that takes best effort.
+
+    Args:
+        sensor: Whose topic it is.
+        topic: Its name.
+        count: Messages that were lost.
+        publishers: Names of the nodes that offer no more than best effort.
+        override: The parameter that asks for best effort, or ''.
+    """
+    if override:
+        why = f'because {override} says so'
+        remedy = f'take {override} out, or set it to reliable'
+    else:
+        why = f'because {", ".join(publishers) or "a publisher"} offers no more'
+        remedy = 'let it publish reliable: a packet that is lost is then sent again'
+    return Finding(
+        'lost_messages',
+        Severity.WARNING,
+        sensor,
+        f'{count} messages of {topic} were lost on the way: they are sent best effort, {why}',
+        remedy,
+    )
+
+
+def lost_of_reliable(sensor: str, topic: str, count: int) -> Finding:
+    """Messages were lost on the way though they are sent reliably.
+
+    Args:
+        sensor: Whose topic it is.
+        topic: Its name.
+        count: Messages that were lost.
+    """
+    return Finding(
+        'lost_messages',
+        Severity.WARNING,
+        sensor,
+        f'{count} messages of {topic} were lost on the way: their publisher gave them up before '
+        'they were through',
+        'a greater depth in the QoS of the publisher, or less to send',
+    )
+
+
+def messages_overwritten(sensor: str, topic: str, count: int, depth: int) -> Finding:
+    """Messages came and were overwritten before the node took them.
+
+    Args:
+        sensor: Whose topic it is.
+        topic: Its name.
+        count: Messages that were overwritten.
+        depth: How many may wait.
+    """
+    key = f'qos_overrides.{topic}.subscription.depth'
+    return Finding(
+        'overwritten_messages',
+        Severity.WARNING,
+        sensor,
+        f'{count} messages of {topic} came and were overwritten before they were taken: the '
+        f'machine is too busy, and more than {depth} waited',
+        f'leave the node more of the machine, or set {key} above {depth}',
+    )
+
+
+def unheard_publishers(
+    sensor: str, topic: str, publishers: Sequence[str], override: str
+) -> Finding:
+    """Nothing is heard of publishers, since they offer less than is asked for.
+
+    Args:
+        sensor: Whose topic it is.
+        topic: Its name.
+        publishers: Names of their nodes.
+        override: The parameter that asks for it.
+    """
+    return Finding(
+        'unheard_publisher',
+        Severity.WARNING,
+        sensor,
+        f'nothing is heard of {", ".join(publishers)} on {topic}: best effort is offered, and '
+        f'{override} asks for reliable',
+        f'take {override} out, or let it publish reliable',
+    )

@@ -76,14 +76,14 @@ class Health:
     def _input(
         self, sensor: str, rate: float, behind: float | None, drops: Mapping[str, int]
     ) -> DiagnosticStatus:
-        received = self._inputs.received[sensor]
+        received, losses = self._inputs.received[sensor], self._inputs.losses()[sensor]
         level, message = DiagnosticStatus.OK, f'{rate:.1f} Hz'
         if self._inputs.paused:
             message = 'paused'
         elif received == 0:
             level, message = DiagnosticStatus.WARN, 'no message yet'
-        elif self._inputs.lost[sensor] > 0:
-            level, message = DiagnosticStatus.WARN, f'{self._inputs.lost[sensor]} messages lost'
+        elif losses.total > 0:
+            level, message = DiagnosticStatus.WARN, f'{losses.total} messages lost'
         elif behind is None:
             level, message = DiagnosticStatus.WARN, 'no usable message yet'
         elif behind > self._worker.config.window.lateness and sensor != GNSS:
@@ -93,7 +93,9 @@ class Health:
             'received': received,
             'rate_hz': round(rate, 2),
             'behind_s': behind,
-            'lost_in_transport': self._inputs.lost[sensor],
+            'reliability': self._inputs.reliabilities()[sensor],
+            'lost_in_transport': losses.transport,
+            'overwritten': losses.overwritten,
             'dropped': dict(drops),
         }
         return status(f'{self._name}: {sensor}', level, message, values)

@@ -227,6 +227,7 @@ class MapperNode:
         self._watch.look_at_topics(self._inputs.types, self._topic_keys, topics)
         self._findings.of_part('inputs', self._watch.findings(self._topic_keys))
         self._findings.of_part('places', self._extrinsics.findings)
+        self._findings.of_part('transport', self._inputs.of_transport())
 
     @property
     def _topic_keys(self) -> dict[str, str]:
@@ -238,6 +239,7 @@ class MapperNode:
         }
 
     def _on_tick(self) -> None:
+        self._inputs.look()
         self._extrinsics.look()
         self._mend_inputs()
         self._worker.graph_span = self.parameters.config.graph.markers_span

@@ -2,13 +2,11 @@
 
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any
 
-from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu, NavSatFix, PointCloud2
 
 from incremental_mapper.checks.finding import Finding
@@ -23,6 +21,7 @@ from incremental_mapper.datasets.sensor_settings import offset_nanoseconds
 from incremental_mapper.errors import MeasurementError
 from incremental_mapper.measurements import NANOSECONDS, Drops, Measurement
 from incremental_mapper.ros.clock_log import ClockLog
+from incremental_mapper.ros.reception import Arrived, Losses, Reception
 
 IMU, GNSS = 'imu', 'gnss'
 
@@ -43,15 +42,11 @@ FIXES = _Stream(NavSatFix, fix_from_message, 50)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Subscribed:
-    """A sensor's stream and its subscription."""
+    """A sensor's stream and how it is received."""
 
     name: str
     stream: _Stream
-    subscription: Any
-
-
-Arrived: TypeAlias = tuple[_Subscribed, Any, Mapping[str, Any]]
-"""A message, where it came in, and what the middleware knows of it."""
+    reception: Reception
 
 
 class Inputs:
@@ -59,9 +54,7 @@ class Inputs:
 
     ``hand_on`` takes the measurements, each with the frame_id of its message, in the order in
     which the messages reached the middleware, and with the stamps and numbers of their messages:
-    the worker puts them right. While ``paused`` they are counted and left out. ``lost`` counts
-    what the middleware lost on the way, by the gaps in the numbers that a topic's publisher gives
-    its messages.
+    the worker puts them right. While ``paused`` they are counted and left out.
     """
 
     def __init__(
@@ -69,7 +62,6 @@ class Inputs:
     ) -> None:
         self.paused = False
         self.received: Counter[str] = Counter()
-        self.lost: Counter[str] = Counter()
         self.topics: dict[str, str] = {}
         self.types: dict[str, str] = {}
         self._node = node
@@ -77,7 +69,6 @@ class Inputs:
         self._hand_on = hand_on
         self._drops: Drops = Counter()
         self._newest: dict[str, int] = {}
-        self._numbers: dict[str, int] = {}
         self._counted: Counter[str] = Counter()
         self._since = time.monotonic()
         self._offsets: dict[str, int] = {}
@@ -94,6 +85,25 @@ class Inputs:
         """What could not be used, by sensor and reason; any thread may ask."""
         # Copying a dictionary is one step under the interpreter's lock.
         return Counter(dict(self._drops))
+
+    def look(self) -> None:
+        """See who publishes; to be called a few times a second."""
+        for place in self._subscribed:
+            place.reception.look()
+
+    def losses(self) -> dict[str, Losses]:
+        """What was sent and never taken, by sensor."""
+        return {place.name: place.reception.losses() for place in self._subscribed}
+
+    def reliabilities(self) -> dict[str, str]:
+        """How each sensor's topic is received, in a word."""
+        return {place.name: place.reception.reliability for place in self._subscribed}
+
+    def of_transport(self) -> tuple[Finding, ...]:
+        """What is wrong with how the sensors' messages come here."""
+        return tuple(
+            found for place in self._subscribed for found in place.reception.findings(place.name)
+        )
 
     def rates(self) -> dict[str, float]:
         """Messages a second of every sensor since the last call."""
@@ -123,56 +133,27 @@ class Inputs:
         self._offsets = {name: offset_nanoseconds(sensor) for name, sensor in sensors.items()}
 
     def _subscribe(self, name: str, sensor: Sensor, topic: str, stream: _Stream) -> None:
-        # Best effort takes messages of reliable and of best-effort publishers.
-        qos = QoSProfile(
-            history=HistoryPolicy.KEEP_LAST,
-            depth=stream.depth,
-            reliability=ReliabilityPolicy.BEST_EFFORT,
+        reception = Reception(
+            self._node, stream.kind, sensor.topic or topic, stream.depth, self._take_in
         )
-
-        def on_message(message: Any, about: Mapping[str, Any]) -> None:
-            self._take_in((place, message, about))
-
-        # Every event that the executor waits for costs time with every message. No publisher is
-        # incompatible with best effort, and losses show in the numbers of the messages.
-        events = SubscriptionEventCallbacks(use_default_callbacks=False)
-        subscription = self._node.create_subscription(
-            stream.kind, sensor.topic or topic, on_message, qos, event_callbacks=events
-        )
-        place = _Subscribed(name, stream, subscription)
-        self._subscribed.append(place)
-        self.topics[name] = subscription.topic_name
+        self._subscribed.append(_Subscribed(name, stream, reception))
+        self.topics[name] = reception.topic
         self.types[name] = f'sensor_msgs/msg/{stream.kind.__name__}'
 
-    def _take_in(self, first: Arrived) -> None:
-        """Take in a message and all that wait behind it, on every topic.
+    def _take_in(self) -> None:
+        """Take in all messages that wait, on every topic.
 
         The executor brings one message a round, and a round costs more than a message: what waits
         is taken at once, before the middleware overwrites it. Topic by topic it would be out of
         order by as long as this thread was kept from running.
         """
-        batch = [first]
-        for place in self._subscribed:
-            handle = place.subscription.handle
-            with handle:
-                for _ in range(place.stream.depth):
-                    waiting = handle.take_message(place.stream.kind, False)
-                    if waiting is None:
-                        break
-                    batch.append((place, *waiting))
+        batch: list[tuple[_Subscribed, Arrived]] = [
+            (place, arrived) for place in self._subscribed for arrived in place.reception.take()
+        ]
         # Middleware that does not know when it received leaves the order as it is.
-        batch.sort(key=lambda arrived: arrived[2].get('received_timestamp') or 0)
-        for place, message, about in batch:
-            self._count_lost(place.name, about.get('publication_sequence_number') or 0)
+        batch.sort(key=lambda item: item[1][1].get('received_timestamp') or 0)
+        for place, (message, about) in batch:
             self._on_message(place, message, about.get('received_timestamp') or time.time_ns())
-
-    def _count_lost(self, name: str, number: int) -> None:
-        """Count what is missing between a message's number and the one before it."""
-        before = self._numbers.get(name, number)
-        self._numbers[name] = number
-        # Several publishers count each for itself, and a new one begins anew.
-        if number > before + 1 and self._node.count_publishers(self.topics[name]) == 1:
-            self.lost[name] += number - before - 1
 
     def _on_message(self, place: _Subscribed, message: Any, received: int) -> None:
         name = place.name

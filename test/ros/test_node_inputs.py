@@ -258,8 +258,9 @@ def test_messages_that_the_middleware_overwrote_are_counted(unattended, messages
     publish(fixes[:1] * 180)
     spin()
     assert inputs.received['gnss'] == len(handed_on) == 1 + 50
-    assert inputs.lost['gnss'] == 130
-    assert inputs.received['imu'] == inputs.lost['imu'] == 0
+    losses = inputs.losses()
+    assert losses['gnss'].total == 130
+    assert inputs.received['imu'] == losses['imu'].total == 0
 
 
 def test_another_publisher_is_no_loss(unattended, messages):
@@ -272,4 +273,4 @@ def test_another_publisher_is_no_loss(unattended, messages):
         second.publish(fixes[0].message())
         publish(fixes[:1])
         spin()
-    assert inputs.received['gnss'] == 46 and inputs.lost['gnss'] == 0
+    assert inputs.received['gnss'] == 46 and inputs.losses()['gnss'].total == 0

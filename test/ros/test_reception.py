@@ -1,0 +1,214 @@
+"""Which reliability a topic is received with, what a change of it loses (nothing), and losses."""
+
+import time
+from itertools import count
+
+import pytest
+
+pytest.importorskip('rclpy', reason='rclpy is not installed (extra "ros")')
+
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from ros_helpers import next_domain
+from sensor_msgs.msg import NavSatFix
+
+from incremental_mapper.errors import ConfigError
+from incremental_mapper.ros.reception import BEST_EFFORT, RELIABLE, Reception, due_reliabilities
+
+DEPTH = 50
+OVERRIDES = 'qos_overrides./fix.subscription.'
+
+
+class Listening:
+    """A reception whose executor runs when it is told to, and publishers for it."""
+
+    def __init__(self, **overrides):
+        self.context = Context()
+        rclpy.init(
+            context=self.context,
+            domain_id=next_domain(),
+            signal_handler_options=SignalHandlerOptions.NO,
+        )
+        self.node = Node(
+            'listening',
+            context=self.context,
+            parameter_overrides=[Parameter(OVERRIDES + k, value=v) for k, v in overrides.items()],
+            automatically_declare_parameters_from_overrides=True,
+        )
+        self.numbers = []
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self._sent = count()
+        try:
+            self.reception = Reception(self.node, NavSatFix, 'fix', DEPTH, self._take)
+        except ConfigError:
+            self.close()
+            raise
+
+    def _take(self):
+        self.numbers += [int(message.latitude) for message, _ in self.reception.take()]
+
+    def publisher(self, reliability, depth=1000):
+        profile = QoSProfile(depth=depth, reliability=reliability)
+        return self.node.create_publisher(NavSatFix, 'fix', profile)
+
+    def send(self, publisher):
+        number = next(self._sent)
+        publisher.publish(NavSatFix(latitude=float(number)))
+        return number
+
+    def spin(self, seconds=0.0):
+        end = time.monotonic() + seconds
+        while True:
+            for _ in range(20):
+                self.executor.spin_once(0.0)
+            self.reception.look()
+            if time.monotonic() >= end:
+                return
+            time.sleep(0.002)
+
+    def send_until(self, publisher, condition, timeout=4.0):
+        """Send without a pause until something holds; returns the numbers."""
+        sent, end = [], time.monotonic() + timeout
+        while not condition():
+            assert time.monotonic() < end, 'timed out'
+            sent.append(self.send(publisher))
+            self.spin(0.002)
+        return sent
+
+    def close(self):
+        self.executor.shutdown()
+        self.node.destroy_node()
+        rclpy.try_shutdown(context=self.context)
+
+
+@pytest.fixture
+def listen():
+    made = []
+
+    def make(**overrides):
+        made.append(Listening(**overrides))
+        return made[-1]
+
+    yield make
+    for item in made:
+        item.close()
+
+
+def matched(publisher, subscriptions):
+    return lambda: publisher.get_subscription_count() == subscriptions
+
+
+def found_by(listening, publisher):
+    """Both subscriptions match the publisher before it says a word."""
+    end = time.monotonic() + 4.0
+    while not matched(publisher, 2)():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+    return publisher
+
+
+@pytest.mark.parametrize(
+    ('offered', 'due'),
+    [
+        ([], {RELIABLE, BEST_EFFORT}),
+        ([RELIABLE], {RELIABLE}),
+        ([RELIABLE, RELIABLE], {RELIABLE}),
+        ([BEST_EFFORT], {BEST_EFFORT}),
+        ([RELIABLE, BEST_EFFORT], {BEST_EFFORT}),
+        ([RELIABLE, ReliabilityPolicy.UNKNOWN], {BEST_EFFORT}),
+    ],
+)
+def test_reliable_where_all_publishers_offer_it(offered, due):
+    assert due_reliabilities(offered) == due
+
+
+def test_changes_of_the_publishers_lose_nothing_and_double_nothing(listen):
+    listening = listen()
+    reception = listening.reception
+    assert reception.reliability == 'undecided'
+    reliable = found_by(listening, listening.publisher(RELIABLE))
+    sent = listening.send_until(reliable, matched(reliable, 1))
+    assert reception.reliability == 'reliable'
+    weak = listening.publisher(BEST_EFFORT)
+    # The reliable subscription does not match the second publisher: one that does replaces it.
+    sent += listening.send_until(reliable, matched(weak, 1))
+    sent += [listening.send(weak), listening.send(reliable)]
+    sent += listening.send_until(reliable, lambda: list(reception._subscriptions) == [BEST_EFFORT])
+    assert reception.reliability == 'best effort'
+    listening.node.destroy_publisher(weak)
+    sent += listening.send_until(reliable, lambda: list(reception._subscriptions) == [RELIABLE])
+    listening.spin(0.1)
+    assert reception.reliability == 'reliable'
+    # Each once; where there are two subscriptions, the times of receipt put them in order.
+    assert sorted(listening.numbers) == sent
+    assert reception.losses().total == 0 and reception.findings('gnss') == []
+
+
+def test_the_first_messages_of_a_best_effort_publisher_are_heard(listen):
+    listening = listen()
+    weak = listening.publisher(BEST_EFFORT)
+    end = time.monotonic() + 4.0
+    while not matched(weak, 1)():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+    # Before anybody has looked who publishes.
+    sent = [listening.send(weak) for _ in range(5)]
+    sent += listening.send_until(weak, lambda: len(listening.reception._subscriptions) == 1)
+    listening.spin(0.1)
+    assert sorted(listening.numbers) == sent
+    assert listening.reception.reliability == 'best effort'
+
+
+def test_messages_that_were_overwritten_are_counted_with_the_remedy(listen):
+    listening = listen(depth=20)
+    publisher = found_by(listening, listening.publisher(RELIABLE))
+    listening.send_until(publisher, matched(publisher, 1))
+    before = len(listening.numbers)
+    for _ in range(70):
+        listening.send(publisher)
+    time.sleep(0.1)
+    listening.spin()
+    assert len(listening.numbers) - before == 20
+    losses = listening.reception.losses()
+    assert (losses.transport, losses.overwritten) == (0, 50)
+    (finding,) = listening.reception.findings('gnss')
+    assert finding.rule == 'overwritten_messages'
+    assert '50 messages of /fix' in finding.text
+    assert f'{OVERRIDES}depth above 20' in finding.remedy
+
+
+def test_an_override_settles_the_reliability(listen):
+    listening = listen(reliability='reliable')
+    weak = listening.publisher(BEST_EFFORT)
+    listening.spin(0.3)
+    assert listening.reception.reliability == 'reliable'
+    assert weak.get_subscription_count() == 0
+    (finding,) = listening.reception.findings('gnss')
+    assert finding.rule == 'unheard_publisher'
+    assert 'listening' in finding.text and f'{OVERRIDES}reliability' in finding.remedy
+    other = listen(reliability='best_effort')
+    other.publisher(RELIABLE)
+    other.spin(0.3)
+    assert other.reception.reliability == 'best effort'
+
+
+@pytest.mark.parametrize(
+    ('policy', 'value'),
+    [
+        ('reliability', 'perhaps'),
+        ('reliability', 1),
+        pytest.param('depth', 0, marks=pytest.mark.filterwarnings('ignore:A zero depth')),
+        ('depth', 'deep'),
+        ('history', 'all'),
+        ('durability', 'no'),
+    ],
+)
+def test_overrides_that_cannot_be_used_are_refused(listen, policy, value):
+    with pytest.raises(ConfigError, match=r'/fix\.subscription'):
+        listen(**{policy: value})
