@@ -20,7 +20,7 @@ from incremental_mapper.checks.imu_motion import FEWEST, MotionEvidence
 from incremental_mapper.config import Config
 from incremental_mapper.frontend.front_end import Prepared
 from incremental_mapper.frontend.lidar_odometry import PreparedScan
-from incremental_mapper.measurements import NANOSECONDS, ImuSample
+from incremental_mapper.measurements import NANOSECONDS, ImuSample, Vector
 
 MOST_SAMPLES = 20_000
 """Samples that are kept, up to twice as many between: 50 s at 400 Hz."""
@@ -47,8 +47,8 @@ class ImuWatch:
     def __init__(self, config: Config) -> None:
         self._settings = config.imu
         self._gravity = config.preintegration.gravity
-        self._samples: list[ImuSample] = []
-        self._matches: list[tuple[int, int, gtsam.Pose3]] = []  # both stamps, T_first_second
+        self._samples = _Newest(MOST_SAMPLES)  # rates and accelerations
+        self._matches = _Newest(MOST_MATCHES)  # rotation vectors and translations
         self._due: int | None = None  # stamp at which gravity is looked at
         self._span = FIRST + MARGIN  # seconds of samples then
         self._enough = 2 * FEWEST  # matches at which the motion is looked at
@@ -61,9 +61,7 @@ class ImuWatch:
         """Keep a sample, as the message has it; now and then look at gravity."""
         if not self._settings.enabled:
             return ()
-        self._samples.append(sample)
-        if len(self._samples) >= 2 * MOST_SAMPLES:
-            del self._samples[:MOST_SAMPLES]
+        self._samples.append(sample.stamp, sample.stamp, sample.gyro, sample.acceleration)
         if self._due is None:
             self._due = sample.stamp + round(self._span * NANOSECONDS)
         if sample.stamp < self._due:
@@ -83,15 +81,12 @@ class ImuWatch:
         """Keep the matches of a window; now and then hold the IMU against them."""
         if not self._settings.enabled:
             return ()
-        new = [
-            (item.previous, item.core.stamp, item.T_previous_current)
-            for item in prepared
-            if isinstance(item, PreparedScan) and item.previous and item.T_previous_current
-        ]
-        self._matches += new
-        if len(self._matches) >= 2 * MOST_MATCHES:
-            del self._matches[:MOST_MATCHES]
-        self._count += len(new)
+        for item in prepared:
+            if isinstance(item, PreparedScan) and item.previous and item.T_previous_current:
+                moved = item.T_previous_current
+                turned = gtsam.Rot3.Logmap(moved.rotation())
+                self._matches.append(item.previous, item.core.stamp, turned, moved.translation())
+                self._count += 1
         if self._count < self._enough:
             return ()
         self._enough = round(GROWTH * self._count)
@@ -108,7 +103,7 @@ class ImuWatch:
         ]
 
     def _look_at_gravity(self) -> Sequence[Finding]:
-        if not self._samples:
+        if len(self._samples) == 0:
             return ()
         stamps, _, force = self._arrays()
         found = measure_gravity(stamps, force)
@@ -122,11 +117,11 @@ class ImuWatch:
         if len(stamps) < 2 * FEWEST:
             return ()
         turn = self._settings.matrix()[:3, :3].T
-        poses = [pose for *_, pose in self._matches]
+        moved = self._matches.rows()
         evidence = MotionEvidence(
-            spans=np.array([span for *span, _ in self._matches], dtype=np.int64),
-            turns=np.array([gtsam.Rot3.Logmap(pose.rotation()) for pose in poses]),
-            shifts=np.array([pose.translation() for pose in poses]),
+            spans=self._matches.stamps(),
+            turns=moved[:, :3],
+            shifts=moved[:, 3:],
             stamps=stamps,
             gyro=gyro @ turn,
             force=force @ turn,
@@ -139,10 +134,10 @@ class ImuWatch:
     def _look_at_holes(self) -> Sequence[Finding]:
         if self._holes.last == 0 or len(self._samples) < 2:
             return ()
-        holes, last = self._holes, max((stamp for _, stamp, _ in self._matches), default=0)
+        holes, last = self._holes, int(self._matches.stamps()[:, 1].max(initial=0))
         behind = max(last - holes.last, 0)
         silent = behind if behind > self._max_gap else 0
-        gaps = np.diff([sample.stamp for sample in self._samples]) / NANOSECONDS
+        gaps = np.diff(self._samples.stamps()[:, 0]) / NANOSECONDS
         finding = check_holes(
             (holes.total + silent) / NANOSECONDS,
             (max(last, holes.last) - holes.first) / NANOSECONDS,
@@ -154,12 +149,9 @@ class ImuWatch:
 
     def _arrays(self) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
         """Stamps, rates and accelerations in time order, scaled, without absurd and frozen ones."""
-        stamps = np.array([sample.stamp for sample in self._samples], dtype=np.int64)
-        gyro = np.array([sample.gyro for sample in self._samples]).reshape(-1, 3)
-        force = np.array([sample.acceleration for sample in self._samples]).reshape(-1, 3)
+        stamps, rows = self._samples.stamps()[:, 0], self._samples.rows()
         order = np.argsort(stamps, kind='stable')
-        rows = np.hstack([gyro, force])
-        sensible = (np.abs(rows) < SENSIBLE).all(axis=1)
+        sensible = np.all(np.abs(rows) < SENSIBLE, axis=1)
         sensible[1:] &= (rows[1:] != rows[:-1]).any(axis=1)  # what is frozen says nothing
         # The median: the one that came in the middle may be a stray itself.
         sensible &= np.abs(stamps - stamps[order[len(order) // 2]]) < NEAR
@@ -167,8 +159,8 @@ class ImuWatch:
         settings = self._settings
         return (
             stamps[keep],
-            settings.rate_scale * gyro[keep],
-            settings.acceleration_scale * force[keep],
+            settings.rate_scale * rows[keep, :3],
+            settings.acceleration_scale * rows[keep, 3:],
         )
 
 
@@ -180,6 +172,49 @@ def _repeated(finding: Finding, before: Sequence[Finding]) -> bool:
         if other.rule == finding.rule and others.keys() == values.keys():
             return all(np.allclose(others[key], values[key], atol=ALIKE) for key in values)
     return False
+
+
+class _Newest:
+    """The newest of a stream: two stamps (ns) and two vectors (3,) each.
+
+    Kept as arrays, since the rules ask for all of them again and again; what came since they last
+    asked waits in a list, since each sample of an IMU comes by here.
+    """
+
+    def __init__(self, most: int) -> None:
+        self._stamps = np.zeros((0, 2), dtype=np.int64)
+        self._rows = np.zeros((0, 6))
+        self._most = most
+        self._waiting: list[tuple[int, int, Vector, Vector]] = []
+
+    def __len__(self) -> int:
+        return len(self._stamps) + len(self._waiting)
+
+    def append(self, first: int, last: int, one: Vector, other: Vector) -> None:
+        """Keep one more; between ``most`` and twice as many are kept."""
+        self._waiting.append((first, last, one, other))
+        if len(self._waiting) == self._most:
+            self._join()
+
+    def stamps(self) -> NDArray[np.int64]:
+        """Both stamps of each (N, 2)."""
+        self._join()
+        return self._stamps
+
+    def rows(self) -> NDArray[np.float64]:
+        """Both vectors of each (N, 6)."""
+        self._join()
+        return self._rows
+
+    def _join(self) -> None:
+        if not self._waiting:
+            return
+        firsts, lasts, ones, others = zip(*self._waiting, strict=True)
+        self._waiting.clear()
+        stamps = np.column_stack([firsts, lasts])
+        rows = np.hstack([np.array(ones), np.array(others)])
+        self._stamps = np.vstack([self._stamps, stamps])[-self._most :]
+        self._rows = np.vstack([self._rows, rows])[-self._most :]
 
 
 class _Holes:
