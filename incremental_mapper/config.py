@@ -358,6 +358,17 @@ class TfSettings(Section):
     """Seconds by which map to odom is dated into the future, for those who ask for the map now."""
 
 
+class ImuOdometrySettings(Section):
+    """Node: ~/odometry_imu, where the car is between two windows by the IMU."""
+
+    publish: bool = False
+    """Publish it."""
+    max_rate: float = Field(default=200.0, gt=0.0, le=2000.0)
+    """Most messages a second; a faster IMU is still integrated in full."""
+    max_age: float = Field(default=1.0, gt=0.0, le=10.0)
+    """Seconds after the last window's newest state for which it is carried on."""
+
+
 class SaveSettings(Section):
     """Node: where maps are saved. A number is added to a name that is taken."""
 
@@ -442,6 +453,7 @@ class Config(Section):
     path: PathSettings = PathSettings()
     frames: FrameSettings = FrameSettings()
     tf: TfSettings = TfSettings()
+    imu_odometry: ImuOdometrySettings = ImuOdometrySettings()
     save: SaveSettings = SaveSettings()
     time_jump: TimeJumpSettings = TimeJumpSettings()
     queue: QueueSettings = QueueSettings()

@@ -28,6 +28,7 @@ from incremental_mapper.mapping.load_shedding import NO_SHEDDING
 from incremental_mapper.measurements import Drops, Measurement
 from incremental_mapper.ros.arguments import read_own_arguments
 from incremental_mapper.ros.health import Health
+from incremental_mapper.ros.imu_odometry import make_imu_odometry
 from incremental_mapper.ros.inbox import Command, Deadline, Order, Renewal
 from incremental_mapper.ros.input_watch import InputWatch, published_by_others
 from incremental_mapper.ros.known_findings import KnownFindings
@@ -104,6 +105,7 @@ class MapperNode:
         self._extrinsics = self._make_extrinsics()
         self._worker.outside_drops = self._outside_drops
         self._outputs = Outputs(self.node, self.parameters, self._worker.inbox)
+        self._predicted = make_imu_odometry(self.node, config)
         self._worker.outside_findings = self._findings.lasting
         self._health = Health(self.node.get_name(), self._inputs, self._worker, self._findings)
         self._diagnostics = self.node.create_publisher(
@@ -166,6 +168,8 @@ class MapperNode:
             update = self._updates.popleft()
             if isinstance(update, WindowUpdate):
                 self._outputs.window(update)
+                if self._predicted is not None:
+                    self._predicted.window(update)
                 self._health.window(update)
                 self._findings.of_map(update.findings)
             elif isinstance(update, ViewUpdate):
@@ -174,6 +178,8 @@ class MapperNode:
                 if update.reason:
                     self._logger.warning(f'a new map begins: {update.reason}')
                 self._inputs.restart(update.config)
+                if self._predicted is not None:
+                    self._predicted.restart(update.config)
                 self._health.restart()
                 self._findings.of_map(update.findings, told=True)
                 self._outputs.clear()
@@ -198,6 +204,8 @@ class MapperNode:
 
     def _on_measurement(self, measurement: Measurement, frame: str) -> None:
         if self._watch.take(measurement, frame):
+            if self._predicted is not None:
+                self._predicted.take(measurement)
             self._extrinsics.take(measurement, frame)
 
     def _outside_drops(self) -> Drops:
@@ -256,7 +264,10 @@ class MapperNode:
     def _on_diagnostics(self) -> None:
         self._look_at_inputs()
         stamp = self.node.get_clock().now().to_msg()
-        self._diagnostics.publish(self._health.message(stamp))
+        message = self._health.message(stamp)
+        if self._predicted is not None:
+            message.status = [*message.status, self._predicted.status()]
+        self._diagnostics.publish(message)
 
     def _on_clock_jump(self, jump: TimeJump) -> None:
         self._worker.jumps.clock_jumped()
