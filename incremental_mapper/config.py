@@ -189,6 +189,10 @@ class GnssSettings(Section):
     """Huber threshold in standard deviations; 0 switches the robust loss off."""
     min_distance: float = Field(default=2.0, gt=0.0, le=1000.0)
     """Travelled metres after which the yaw is taken from the GNSS track."""
+    exchanged: bool = False
+    """Latitude and longitude are exchanged in the messages."""
+    mirrored: bool = False
+    """The longitude has the wrong sign in the messages: west for east."""
 
 
 class DatumSettings(Section):

@@ -117,15 +117,28 @@ def several_frames(topic: str, counts: Mapping[str, int]) -> Finding:
     )
 
 
-def other_frame(lidar: str, expected: str, frame: str, count: int) -> Finding:
-    """Clouds whose frame_id is not the one that the first had."""
+def other_frame(lidar: str, expected: str, frame: str, count: int, owner: str) -> Finding:
+    """Clouds whose frame_id is not the one that the first had.
+
+    Args:
+        lidar: On whose topic they came.
+        expected: The frame_id of the first ones there.
+        frame: Theirs.
+        count: How many they are.
+        owner: The LiDAR whose first clouds had that frame_id; '' where there is none.
+    """
+    what = (
+        f'two LiDARs that exchanged their topics; they are taken for those of {owner}'
+        if owner
+        else 'two LiDARs on one topic, or a frame that was renamed; they are used as if nothing '
+        'had changed'
+    )
     return Finding(
         'other_frame',
         Severity.WARNING,
         lidar,
         f'{count} clouds have the frame_id {_short(frame)!r} where others have '
-        f'{_short(expected)!r}: two LiDARs on one topic, or a frame that was renamed; they are '
-        'used as if nothing had changed',
+        f'{_short(expected)!r}: {what}',
         'give each LiDAR its own topic, and record again',
     )
 

@@ -191,7 +191,7 @@ class BagSource:
     def info(self) -> SourceInfo:
         """Facts about the bag, with what the last run of ``measurements`` remarked."""
         frames = [
-            other_frame(sensor, self._frames[sensor], frame, count)
+            other_frame(sensor, self._frames[sensor], frame, count, self._lidar_of(frame))
             for (sensor, frame), count in self._other_frames.items()
         ]
         findings = (*self._info.findings, *frames, *self._remarks.findings())
@@ -233,7 +233,7 @@ class BagSource:
                 if sensor in self._apart:
                     self._drops[sensor, 'no_common_time'] += 1
                     continue
-                self._count_frame(sensor, message)
+                sensor = self._by_frame(sensor, message)
                 try:
                     measurement = converters[sensor](message)
                 except MeasurementError as error:
@@ -329,12 +329,20 @@ class BagSource:
             return by_frame[None]
         return by_frame.get(str(message.header.frame_id))
 
-    def _count_frame(self, sensor: str, message: Any) -> None:
-        """Note LiDARs whose frame is not the one that the first clouds had."""
-        if sensor in self._choice.lidars:
-            frame = str(message.header.frame_id)
-            if frame != self._frames[sensor]:
-                self._other_frames[sensor, frame] += 1
+    def _by_frame(self, sensor: str, message: Any) -> str:
+        """Whose cloud it is by its frame, which is noted where it is not that of the first ones."""
+        if sensor not in self._choice.lidars:
+            return sensor
+        frame = str(message.header.frame_id)
+        if frame == self._frames[sensor]:
+            return sensor
+        self._other_frames[sensor, frame] += 1
+        return self._lidar_of(frame) or sensor
+
+    def _lidar_of(self, frame: str) -> str:
+        """The one LiDAR whose first clouds had this frame; '' where there is none."""
+        owners = [name for name in self._choice.lidars if self._frames[name] == frame]
+        return owners[0] if frame and len(owners) == 1 else ''
 
     def _looked_at(self, looks: Mapping[str, TopicLook]) -> list[tuple[str, str, TopicLook]]:
         """(LiDAR, frame, look) of those whose points' times are known."""

@@ -29,6 +29,7 @@ from incremental_mapper.checks.fixes import (
 )
 from incremental_mapper.config import GnssSettings, OdometryMethod
 from incremental_mapper.errors import MeasurementError
+from incremental_mapper.frontend.fix_shape_watch import ShapeWatch
 from incremental_mapper.frontend.fix_tracks import MEMBERS, Entry, Track, alike, unseen
 from incremental_mapper.frontend.gnss import Datum, align_track
 from incremental_mapper.frontend.lidar_odometry import PreparedScan
@@ -97,6 +98,7 @@ class FixGate:
         self.suspicions: dict[str, Suspicion] = {}
         self.steps: list[DatumStep] = []
         self._recent: deque[Entry] = deque(maxlen=MEMBERS)  # all but frozen ones
+        self._shape = ShapeWatch(settings)
 
     # --- what it is asked
 
@@ -134,6 +136,14 @@ class FixGate:
         """What was found wrong with the fixes so far."""
         found = judged_fixes(self.sensor, self.received, self.suspicions, self.steps)
         return (*found, *far_datum(self.sensor, *self._farthest))
+
+    def misshapen(self, last: bool = False) -> Finding | None:
+        """Whether the track of the fixes is not shaped as odometry's; asked now and then.
+
+        Args:
+            last: Whether no more will come.
+        """
+        return self._shape.finding(self.sensor, last)
 
     def too_certain(self) -> Finding | None:
         """Whether the newest fixes scatter far more than they say; asked where some are left out.
@@ -201,6 +211,7 @@ class FixGate:
         """
         self.sensor = fix.sensor
         self.received += 1
+        fix = self._shape.corrected(fix)
         if self._fixed is not None:
             self._check_distance(fix, self._fixed)
         fix = self._with_altitude(fix)
@@ -211,6 +222,7 @@ class FixGate:
             sigma=float(np.sqrt(max(covariance[0, 0], covariance[1, 1]))),
             sigma_up=up if up < 0.5 * NO_VERTICAL_SIGMA else math.nan,
         )
+        self._shape.take(entry)
         self._check_frozen(entry)
         self._recent.append(entry)
         if self._frame is None:

@@ -92,9 +92,9 @@ class Watch:
     def fixes(self, gate: FixGate) -> None:
         """Look at what the gate made of a window's fixes."""
         self._gate = gate
-        certain = gate.too_certain()
-        if certain is not None:
-            self.add(certain)
+        wrong = gate.misshapen() or gate.too_certain()
+        if wrong is not None:
+            self.add(wrong)
 
     @_guarded
     def grown(self, state: GraphState) -> None:
@@ -106,6 +106,9 @@ class Watch:
         """Decide what waits for more measurements: none will come."""
         for finding in (*self._mounts.end(), *self._imu.end()):
             self.add(finding)
+        shape = None if self._gate is None else self._gate.misshapen(last=True)
+        if shape is not None:
+            self.add(shape)
 
     def add(self, finding: Finding) -> None:
         """Keep a finding; what one changes is asked of who runs the mapper."""

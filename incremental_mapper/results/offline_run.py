@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from incremental_mapper.checks.finding import Finding
+from incremental_mapper.checks.fix_shape import without_consequences
 from incremental_mapper.config import Config, Tree
 from incremental_mapper.datasets.open import open_source, read_truth
 from incremental_mapper.datasets.source import Source
@@ -68,11 +69,10 @@ class Run:
 
 
 class MendError(Exception):
-    """Ends a run whose data proved a setting wrong: it begins anew with ``settings``."""
+    """Ends a run whose data proved a setting wrong: it begins anew with those of ``findings``."""
 
-    def __init__(self, settings: Tree, findings: Sequence[Finding]) -> None:
+    def __init__(self, findings: Sequence[Finding]) -> None:
         super().__init__('the data prove a setting wrong')
-        self.settings = settings
         self.findings = tuple(findings)
 
 
@@ -265,16 +265,20 @@ def map_source(
 
 def _mending(drive: Drive, attempt: Callable[[Drive, bool], Run]) -> Run:
     """Map a drive, and begin anew where the data prove a setting wrong."""
+    begun, found = drive, list[Finding]()
     for _ in range(MOST_MENDS):
         try:
             return attempt(drive, True)
         except MendError as mend:
-            tree = merge(drive.tree, mend.settings)
+            # With one LiDAR's pose in the settings the others are not looked for any more.
+            left = [one for one in drive.source.info.findings if one.rule == 'lidar_left_out']
+            found = [*without_consequences(found, mend.findings), *left, *mend.findings]
+            tree = begun.tree
+            for finding in found:
+                tree = merge(tree, finding.settings if finding.changes else {})
             source = open_source(drive.source.info.path, tree)
             config = effective_config(source, tree, drive.where)
-            # With one LiDAR's pose in the settings the others are not looked for any more.
-            left = (one for one in drive.source.info.findings if one.rule == 'lidar_left_out')
-            mended = (*drive.mended, *left, *mend.findings)
+            mended = (*begun.mended, *found)
             drive = replace(drive, source=source, config=config, tree=tree, mended=mended)
     return attempt(drive, False)
 
@@ -306,13 +310,13 @@ def _map_once(
             if may_mend and mapper.mend:
                 if progress is not None:
                     progress(-count)
-                raise MendError(mapper.mend, mapper.mended)
+                raise MendError(mapper.mended)
             if stop is not None and stop.wanted:
                 interrupted = True
                 break
         tell(mapper.flush())
         if may_mend and mapper.mend:
-            raise MendError(mapper.mend, mapper.mended)
+            raise MendError(mapper.mended)
         result = mapper.result()
     if not result.clusters:
         if interrupted:

@@ -293,6 +293,31 @@ def test_a_lidar_that_comes_later_on_the_topic_is_noted(tmp_path):
     assert "6 clouds have the frame_id 'rear'" in note
 
 
+def test_lidars_that_exchange_their_topics_are_told_by_their_frames(tmp_path):
+    names = ['front', 'rear']
+    events = [
+        (f'/{names[(lidar + (step >= 30)) % 2]}', framed(CLOUD, START + step * 100 * MS, frame))
+        for step in range(40)
+        for lidar, frame in enumerate(names)
+    ]
+    source = open_source(
+        write(tmp_path / 'bag', events),
+        {
+            'lidars': {
+                'names': names,
+                **{
+                    name: {'topic': f'/{name}', 'T_base_sensor': [x, 0, 0, 0, 0, 0, 1]}
+                    for name, x in (('front', 2.0), ('rear', -1.0))
+                },
+            }
+        },
+    )
+    counts = [m.sensor for m in source.measurements() if isinstance(m, LidarScan)]
+    assert counts == names * 40
+    notes = said(source, 'other_frame')
+    assert len(notes) == 2 and any('taken for those of rear' in note for note in notes)
+
+
 def test_packets_are_named_with_what_converts_them(tmp_path):
     with pytest.raises(InputError, match=r'/velodyne_packets: .*velodyne_pointcloud'):
         open_source(vendor_bag(tmp_path / 'packets', False), {})

@@ -1,0 +1,118 @@
+"""Whether the track of the fixes has the shape of odometry's: mirrored, exchanged, of another size.
+
+A turn and a shift lie between the two, nothing else. Latitude and longitude that are exchanged
+where both are in range, and a longitude that lost its sign, make a mirrored track: in a bend no
+turn lays it on that of odometry. On a straight road nobody can tell.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from incremental_mapper.checks.finding import Finding, Severity
+
+FEWEST = 10
+"""Fixes that tell a shape."""
+BENT = 3.0
+"""Metres, in the smaller direction of odometry's track, from which it is bent."""
+LENGTH = 20.0
+"""Metres that it spreads at least."""
+MISFIT, NOISE = 0.05, 5.0
+"""Share of a track's extent, beside so many deviations of the fixes, by which the two differ at
+least (root mean square) where something is wrong. Simulated drives with bends and KITTI: 0.002 to
+0.01 of the extent."""
+BETTER = 0.2
+"""Share of that misfit that is left, at most, where the cause is found."""
+_EARTH = 6_371_000.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shape:
+    """Fixes, and the same places by odometry.
+
+    Attributes:
+        degrees: Latitude and longitude (K, 2) as received.
+        local: Position of the antenna by odometry (K, 2), metres.
+        sigma: Median horizontal deviation of the fixes, metres.
+    """
+
+    degrees: NDArray[np.float64]
+    local: NDArray[np.float64]
+    sigma: float
+
+
+def shape_finding(sensor: str, shape: Shape) -> Finding | None:
+    """Hold the shapes of the two tracks against each other.
+
+    Args:
+        sensor: Name of the receiver.
+        shape: Fixes of a few hundred metres, over which odometry hardly drifts.
+
+    Returns:
+        ``exchanged_degrees`` or ``lost_sign``, mended; None where the shapes agree, or where
+        neither is what is wrong.
+    """
+    if len(shape.local) < FEWEST:
+        return None
+    spread = np.linalg.svd(shape.local - shape.local.mean(axis=0), compute_uv=False)
+    extent = float(np.hypot(*np.ptp(shape.local, axis=0)))
+    if spread[1] / np.sqrt(len(shape.local)) < BENT or extent < LENGTH:
+        return None
+    now = _misfit(_metres(shape.degrees), shape.local)
+    least = MISFIT * extent + NOISE * shape.sigma
+    if now < least:
+        return None
+    latitude, longitude = shape.degrees.T
+    causes = []
+    if np.abs(longitude).max() <= 90.0:
+        exchanged = np.stack([longitude, latitude], axis=1)
+        causes.append((_misfit(_metres(exchanged), shape.local), 'exchanged_degrees'))
+    signed = np.stack([latitude, -longitude], axis=1)
+    causes.append((_misfit(_metres(signed), shape.local), 'lost_sign'))
+    left, rule = min(causes)
+    if left > min(BETTER * now, least):
+        return None
+    what, key = {
+        'exchanged_degrees': ('latitude and longitude are exchanged', 'exchanged'),
+        'lost_sign': ('the longitude has the wrong sign, west for east', 'mirrored'),
+    }[rule]
+    return Finding(
+        rule,
+        Severity.MENDED,
+        sensor,
+        f'{what}: the track of {len(shape.local)} fixes is off that of odometry by {now:.1f} m as '
+        f'it is, and by {left:.1f} m with that put right',
+        f'put right as with fixes.{key}: true; correct the driver',
+        {'fixes': {key: True}},
+    )
+
+
+def without_consequences(before: Sequence[Finding], now: Sequence[Finding]) -> list[Finding]:
+    """Take back what was found of fixes only because their track was misshapen.
+
+    Args:
+        before: What was found in earlier runs.
+        now: What was found since.
+    """
+    misshapen = any(finding.rule in ('exchanged_degrees', 'lost_sign') for finding in now)
+    return [one for one in before if not (misshapen and one.rule == 'optimistic_covariance')]
+
+
+def _metres(degrees: NDArray[np.float64]) -> NDArray[np.float64]:
+    """East and north (K, 2) of the first place."""
+    radians = np.radians(degrees)
+    north = radians[:, 0] - radians[0, 0]
+    east = (radians[:, 1] - radians[0, 1]) * np.cos(radians[0, 0])
+    return _EARTH * np.stack([east, north], axis=1)
+
+
+def _misfit(enu: NDArray[np.float64], local: NDArray[np.float64]) -> float:
+    """Root mean square of what is left (m) with the turn and the shift that fit best."""
+    a, b = enu - enu.mean(axis=0), local - local.mean(axis=0)
+    # As complex numbers a turn is one factor of size 1.
+    one, other = a[:, 0] + 1j * a[:, 1], b[:, 0] + 1j * b[:, 1]
+    turn = np.vdot(other, one)
+    turn /= max(abs(turn), 1e-12)
+    return float(np.sqrt(np.mean(np.abs(one - turn * other) ** 2)))
