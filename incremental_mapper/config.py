@@ -319,7 +319,14 @@ class MapSettings(Section):
     max_range: float = Field(default=60.0, gt=0.0, le=1000.0)
     """Points further from the sensor than this many metres do not enter the map."""
     publish_period: float = Field(default=2.0, ge=0.05, le=3600.0)
-    """Node: shortest time between two publications of the whole map, in seconds."""
+    """Node: shortest time between two publications of the map, in seconds."""
+    display_points: int = Field(default=1_000_000, ge=0)
+    """Node: most points of a published map, those nearest to the newest pose; 0 publishes all."""
+    display_radius: float = Field(default=300.0, ge=0.0, le=1e6, allow_inf_nan=False)
+    """Node: points of the published map are within so many metres of the newest pose; 0 sets no
+    limit."""
+    display_voxel_size: float = Field(default=0.0, ge=0.0, le=100.0, allow_inf_nan=False)
+    """Node: voxel size of the published map in metres; 0 takes ``map.voxel_size``."""
 
 
 class PathSettings(Section):

@@ -16,6 +16,11 @@ FURTHEST = 2.0e9
 ROOM = 1024
 """Voxels for which a grid has room when nothing is said."""
 
+STRETCH = 4096
+"""Voxels, in their order, of which one box tells where they are."""
+RINGS = 4096
+"""Rings of equal area around a place, in which voxels are counted to find the nearest."""
+
 
 class VoxelGrid:
     """Voxels with the mean of the points in each; takes points at any time.
@@ -46,7 +51,8 @@ class VoxelGrid:
         self._size = voxel_size
         self._corner = np.zeros(3) if corner is None else corner
         self._limits = (max_range * max_range, voxel_size, float(fullest))
-        self._used = 0
+        self._used = self._boxed = 0
+        self._boxes = np.empty((0, 4), dtype=np.int32)
         self._make(max(room, 1))
 
     def add(self, points: NDArray[np.floating], transform: NDArray[np.float64]) -> None:
@@ -76,6 +82,52 @@ class VoxelGrid:
         if without is not None:
             cells = cells[_absent(cells, without._table, without._cells)]
         return _means(cells, cells.view(np.float32), self._corner, self._size)
+
+    def __len__(self) -> int:
+        return self._used
+
+    def near(self, centre: NDArray[np.float64], radius: float, most: int) -> NDArray[np.float32]:
+        """Mean points (M, 3) as ``points``, of voxels around a place in the plane.
+
+        The cost is that of what lies around: stretches of voxels that came one after the other,
+        as those of a drive do, are passed over as a whole where they are far off.
+
+        Args:
+            centre: x, y, metres in the map; further numbers are not looked at.
+            radius: metres in the plane beyond which voxels are left out; infinity for no limit.
+            most: upper limit of their number; where there are more, the nearest are taken.
+        """
+        self._box_up()
+        cells, boxes = self._cells[: self._used], self._boxes[: self._boxed]
+        middle = (centre[:2] - self._corner[:2]) / self._size
+        limit = radius / self._size
+        if not np.isfinite(limit):
+            limit = _furthest(cells, boxes, middle)
+        rings = _count_rings(cells, boxes, middle, limit)
+        within = np.cumsum(rings)
+        kept = int(np.searchsorted(within, most, side='right'))  # whole rings only
+        count = int(within[kept - 1]) if kept > 0 else 0
+        found: NDArray[np.float32] = _means_near(
+            cells,
+            cells.view(np.float32),
+            boxes,
+            (middle, limit, kept),
+            count,
+            self._corner,
+            self._size,
+        )
+        return found
+
+    def _box_up(self) -> None:
+        """Note the extent of the stretches that are full and not noted yet: voxels never move."""
+        full = self._used // STRETCH
+        if full > len(self._boxes):
+            grown = np.empty((2 * full, 4), dtype=np.int32)
+            grown[: self._boxed] = self._boxes[: self._boxed]
+            self._boxes = grown
+        if full > self._boxed:
+            _enclose(self._cells[: self._used], self._boxes, self._boxed, full)
+            self._boxed = full
 
     @property
     def nbytes(self) -> int:
@@ -120,6 +172,8 @@ def warm_up() -> None:
     for _ in range(2):
         grid.add(np.ones((2, 3), dtype=np.float32), np.eye(4))
     grid.points(without=grid)
+    grid.near(np.zeros(2), 1.0, 1)
+    grid.near(np.zeros(2), np.inf, 1)
 
 
 @kernel
@@ -134,6 +188,102 @@ def _means(
     for i in range(len(cells)):
         for k in range(3):
             means[i, k] = corner[k] + size * cells[i, k] + sums[i, 4 + k] / sums[i, 7]
+    return means
+
+
+@kernel
+def _enclose(cells: NDArray[np.int32], boxes: NDArray[np.int32], first: int, after: int) -> None:
+    """Fill boxes (B, 4), smallest and largest x, then y, of stretches ``first`` to ``after``."""
+    for box in range(first, after):
+        start = box * STRETCH
+        boxes[box, 0] = boxes[box, 1] = cells[start, 0]
+        boxes[box, 2] = boxes[box, 3] = cells[start, 1]
+        for i in range(start, start + STRETCH):
+            boxes[box, 0] = min(boxes[box, 0], cells[i, 0])
+            boxes[box, 1] = max(boxes[box, 1], cells[i, 0])
+            boxes[box, 2] = min(boxes[box, 2], cells[i, 1])
+            boxes[box, 3] = max(boxes[box, 3], cells[i, 1])
+
+
+@kernel
+def _square(cell: NDArray[np.int32], middle: NDArray[np.float64]) -> float:
+    """Square of the distance of a voxel from ``middle`` in the plane, voxels."""
+    x, y = cell[0] + 0.5 - middle[0], cell[1] + 0.5 - middle[1]
+    return x * x + y * y
+
+
+@kernel
+def _far_off(boxes: NDArray[np.int32], box: int, middle: NDArray[np.float64], limit: float) -> bool:
+    """Whether nothing in a box is within ``limit`` voxels; no box, no answer."""
+    if box >= len(boxes):
+        return False
+    x = max(boxes[box, 0] - middle[0], middle[0] - boxes[box, 1] - 1.0, 0.0)
+    y = max(boxes[box, 2] - middle[1], middle[1] - boxes[box, 3] - 1.0, 0.0)
+    return x * x + y * y > limit * limit
+
+
+@kernel
+def _furthest(
+    cells: NDArray[np.int32], boxes: NDArray[np.int32], middle: NDArray[np.float64]
+) -> float:
+    """Distance, in voxels, within which all voxels are."""
+    square = 1.0
+    for box in range(len(boxes)):
+        x = max(abs(boxes[box, 0] - middle[0]), abs(boxes[box, 1] + 1.0 - middle[0]))
+        y = max(abs(boxes[box, 2] - middle[1]), abs(boxes[box, 3] + 1.0 - middle[1]))
+        square = max(square, x * x + y * y)
+    for i in range(len(boxes) * STRETCH, len(cells)):
+        square = max(square, _square(cells[i], middle))
+    return np.sqrt(square)
+
+
+@kernel
+def _count_rings(
+    cells: NDArray[np.int32],
+    boxes: NDArray[np.int32],
+    middle: NDArray[np.float64],
+    limit: float,
+) -> NDArray[np.int64]:
+    """Voxels (RINGS,) in each ring of equal area up to ``limit`` voxels from ``middle``."""
+    rings = np.zeros(RINGS, dtype=np.int64)
+    scale = RINGS / (limit * limit)
+    for start in range(0, len(cells), STRETCH):
+        if _far_off(boxes, start // STRETCH, middle, limit):
+            continue
+        for i in range(start, min(start + STRETCH, len(cells))):
+            square = _square(cells[i], middle)
+            if square <= limit * limit:
+                rings[min(int(square * scale), RINGS - 1)] += 1
+    return rings
+
+
+@kernel
+def _means_near(
+    cells: NDArray[np.int32],
+    sums: NDArray[np.float32],
+    boxes: NDArray[np.int32],
+    around: tuple[NDArray[np.float64], float, int],
+    count: int,
+    corner: NDArray[np.float64],
+    size: float,
+) -> NDArray[np.float32]:
+    """Mean points (count, 3) of the voxels in the innermost rings.
+
+    ``around`` are the middle, the limit and the number of rings, see _count_rings.
+    """
+    middle, limit, kept = around
+    scale = RINGS / (limit * limit)
+    means = np.empty((count, 3), dtype=np.float32)
+    row = 0
+    for start in range(0, len(cells), STRETCH):
+        if _far_off(boxes, start // STRETCH, middle, limit):
+            continue
+        for i in range(start, min(start + STRETCH, len(cells))):
+            square = _square(cells[i], middle)
+            if square <= limit * limit and min(int(square * scale), RINGS - 1) < kept:
+                for k in range(3):
+                    means[row, k] = corner[k] + size * cells[i, k] + sums[i, 4 + k] / sums[i, 7]
+                row += 1
     return means
 
 

@@ -170,7 +170,7 @@ class NodeClient:
         parts: dict[str, dict[str, Any]] = {}
         for status in heard.message.status:
             name, _, part = status.name.partition(': ')
-            if name == self._name:
+            if name.lstrip('/') == self._name:
                 parts[part] = read_status(status)
         if parts:
             self.diagnostics.append(parts)

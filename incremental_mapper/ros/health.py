@@ -1,19 +1,31 @@
 """What /diagnostics tells: every input, the worker, the map, and what was found wrong."""
 
+import time
 from collections.abc import Mapping
 from typing import Any
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.impl.rcutils_logger import RcutilsLogger
 from std_msgs.msg import Header
 
 from incremental_mapper.mapping.load_shedding import NO_SHEDDING
 from incremental_mapper.mapping.statistics import STAGES
 from incremental_mapper.measurements import Drops
+from incremental_mapper.ros.drop_log import DropLog
 from incremental_mapper.ros.known_findings import KnownFindings
 from incremental_mapper.ros.result_messages import status
 from incremental_mapper.ros.subscriptions import GNSS, Inputs
 from incremental_mapper.ros.updates import WindowUpdate
+from incremental_mapper.ros.vitals import (
+    NO_WINDOW,
+    Events,
+    Flow,
+    InputCounts,
+    InputVitals,
+    Level,
+    Verdict,
+)
 from incremental_mapper.ros.worker import Worker
 
 MAPPER_KEYS = (
@@ -29,19 +41,47 @@ MAPPER_KEYS = (
 MB = 1e6
 
 
-class Health:
-    """Makes the diagnostics; used in the executor's thread only."""
+LEVELS = {
+    Level.OK: DiagnosticStatus.OK,
+    Level.WARN: DiagnosticStatus.WARN,
+    Level.ERROR: DiagnosticStatus.ERROR,
+}
 
-    def __init__(self, name: str, inputs: Inputs, worker: Worker, findings: KnownFindings) -> None:
+
+class Health:
+    """Makes the diagnostics; used in the executor's thread only.
+
+    Levels tell of the time since the last message, values of all that was since the beginning.
+    What is left out is logged.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        inputs: Inputs,
+        worker: Worker,
+        findings: KnownFindings,
+        logger: RcutilsLogger,
+    ) -> None:
         self._name = name
         self._inputs = inputs
         self._worker = worker
         self._findings = findings
+        self._logger = logger
         self._last: WindowUpdate | None = None
+        self._windows = 0
+        self._vitals = {sensor: InputVitals(needed=sensor != GNSS) for sensor in inputs.topics}
+        settings = worker.config.window
+        # A window may wait for a silent sensor, and be carried, before it is told of.
+        usual = settings.duration + settings.lateness + settings.max_carry
+        self._flow = Flow(max(NO_WINDOW, 3.0 * usual))
+        self._events = Events()
+        self._drop_log = DropLog()
 
     def window(self, update: WindowUpdate) -> None:
         """Remember the newest window."""
         self._last = update
+        self._windows += 1
 
     def restart(self) -> None:
         """Forget the map before."""
@@ -49,15 +89,48 @@ class Health:
 
     def message(self, stamp: Time) -> DiagnosticArray:
         """The state at this moment."""
+        now = time.monotonic()
         drops = self._all_drops()
+        for line in self._drop_log.look(now, drops, self._inputs.examples):
+            self._logger.warning(line)
         rates, behind = self._inputs.rates(), self._inputs.lateness()
+        counts = {
+            sensor: InputCounts(
+                self._inputs.received[sensor],
+                self._inputs.heard.get(sensor),
+                self._inputs.losses()[sensor].total,
+                drops.get(sensor, {}),
+            )
+            for sensor in rates
+        }
         inputs = [
-            self._input(sensor, rate, behind.get(sensor), drops.get(sensor, {}))
+            self._input(now, sensor, rate, behind.get(sensor), counts[sensor])
             for sensor, rate in rates.items()
         ]
+        flow = self._look_at_flow(now, counts)
+        recent = self._events.recent(now, self._happened())
         checks = self._findings.status(self._name)
-        parts = [*inputs, self._queue(), self._map(drops), checks]
+        parts = [*inputs, self._queue(flow, recent), self._map(drops, flow, recent), checks]
         return DiagnosticArray(header=Header(stamp=stamp), status=parts)
+
+    def _look_at_flow(self, now: float, counts: Mapping[str, InputCounts]) -> Verdict | None:
+        """Whether windows come out of what comes in."""
+        if self._inputs.paused:
+            self._flow.rest(now)
+            return None
+        silences = [
+            self._vitals[sensor].silence(now, count)
+            for sensor, count in counts.items()
+            if count.heard is not None
+        ]
+        silent = min(silences, default=0.0)
+        return self._flow.look(now, self._inputs.received.total(), self._windows, silent)
+
+    def _happened(self) -> dict[str, int]:
+        return {
+            'mapper_failures': self._worker.failures,
+            'failed_windows': self._stats().get('failed_windows', 0),
+        }
 
     def _stats(self) -> Mapping[str, Any]:
         return {} if self._last is None else self._last.stats
@@ -74,33 +147,33 @@ class Health:
         return drops
 
     def _input(
-        self, sensor: str, rate: float, behind: float | None, drops: Mapping[str, int]
+        self, now: float, sensor: str, rate: float, behind: float | None, counts: InputCounts
     ) -> DiagnosticStatus:
-        received, losses = self._inputs.received[sensor], self._inputs.losses()[sensor]
-        level, message = DiagnosticStatus.OK, f'{rate:.1f} Hz'
+        losses = self._inputs.losses()[sensor]
+        verdict = self._vitals[sensor].look(now, counts)
+        level, message = LEVELS[verdict.level], verdict.message
         if self._inputs.paused:
-            message = 'paused'
-        elif received == 0:
-            level, message = DiagnosticStatus.WARN, 'no message yet'
-        elif losses.total > 0:
-            level, message = DiagnosticStatus.WARN, f'{losses.total} messages lost'
-        elif behind is None:
-            level, message = DiagnosticStatus.WARN, 'no usable message yet'
-        elif behind > self._worker.config.window.lateness and sensor != GNSS:
-            level, message = DiagnosticStatus.WARN, f'{behind:.1f} s behind'
+            level, message = DiagnosticStatus.OK, 'paused'
+        elif verdict.level is Level.OK:
+            message = f'{rate:.1f} Hz'
+            if behind is None:
+                level, message = DiagnosticStatus.WARN, 'no usable message yet'
+            elif behind > self._worker.config.window.lateness and sensor != GNSS:
+                level, message = DiagnosticStatus.WARN, f'{behind:.1f} s behind'
+        topic = self._inputs.topics[sensor]
         values = {
-            'topic': self._inputs.topics[sensor],
-            'received': received,
+            'topic': topic,
+            'received': counts.received,
             'rate_hz': round(rate, 2),
             'behind_s': behind,
             'reliability': self._inputs.reliabilities()[sensor],
             'lost_in_transport': losses.transport,
             'overwritten': losses.overwritten,
-            'dropped': dict(drops),
+            'dropped': dict(counts.dropped),
         }
-        return status(f'{self._name}: {sensor}', level, message, values)
+        return status(f'{self._name}: {sensor}', level, message, values, hardware=topic)
 
-    def _queue(self) -> DiagnosticStatus:
+    def _queue(self, flow: Verdict | None, recent: set[str]) -> DiagnosticStatus:
         core, imu = self._worker.inbox.waiting()
         shedding = self._worker.inbox.shedding()
         row = {} if self._last is None else self._last.result.row
@@ -125,16 +198,22 @@ class Health:
             'voxels_mb': round(self._worker.cloud_bytes / MB, 2),
             'peak_rss_mb': stats.get('peak_rss_mb', 0.0),
         }
-        level, message = DiagnosticStatus.OK, 'keeps up'
+        wrong: list[Verdict] = []
         if not self._worker.has_map:
-            level, message = DiagnosticStatus.ERROR, 'no map could be begun; measurements are lost'
-        elif self._worker.failures:
-            level, message = DiagnosticStatus.WARN, f'mapper failures: {self._worker.failures}'
-        elif overloaded:
-            level, message = DiagnosticStatus.WARN, 'falling behind: less search'
+            wrong.append(Verdict(Level.ERROR, 'no map could be begun; measurements are lost'))
+        if flow is not None:
+            wrong.append(flow)
+        if 'mapper_failures' in recent:
+            wrong.append(Verdict(Level.WARN, f'mapper failures: {self._worker.failures}'))
+        if overloaded:
+            wrong.append(Verdict(Level.WARN, 'falling behind: less search'))
+        level = LEVELS[max((item.level for item in wrong), default=Level.OK)]
+        message = '; '.join(item.message for item in wrong) or 'keeps up'
         return status(f'{self._name}: worker', level, message, values)
 
-    def _map(self, drops: Mapping[str, Mapping[str, int]]) -> DiagnosticStatus:
+    def _map(
+        self, drops: Mapping[str, Mapping[str, int]], flow: Verdict | None, recent: set[str]
+    ) -> DiagnosticStatus:
         stats = self._stats()
         values = {key: stats.get(key, 0) for key in MAPPER_KEYS}
         values |= {
@@ -147,6 +226,8 @@ class Health:
             message = f'connected; {values["bridges"]} of {values["clusters"]} poses by a bridge'
         if values['components'] > 1:
             level, message = DiagnosticStatus.WARN, 'the graph is not connected'
-        elif values['failed_windows']:
+        elif 'failed_windows' in recent:
             level, message = DiagnosticStatus.WARN, f'windows failed: {values["failed_windows"]}'
+        elif flow is not None:
+            level, message = DiagnosticStatus.WARN, f'does not grow: {flow.message}'
         return status(f'{self._name}: map', level, message, values)

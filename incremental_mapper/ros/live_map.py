@@ -86,11 +86,25 @@ class LiveMap:
         return self._cloud.nbytes
 
     def points(self) -> NDArray[np.float32]:
-        """The map (N, 3) in metres, a mean point a voxel; what is final comes before the lag."""
+        """The map (N, 3) in metres, a mean point a voxel; what is final comes before the lag.
+
+        It is bounded by ``map.display_points`` and ``map.display_radius``; what is in the lag is
+        near the newest pose and comes first where not all have room.
+        """
+        state, settings = self._mapper.state, self._config.map
         moving = self._empty_grid()
-        for scan in self._mapper.state.scans[self._scans :]:
+        for scan in state.scans[self._scans :]:
             self._add(moving, scan)
-        return np.concatenate([self._cloud.points(), moving.points(without=self._cloud)])
+        new = moving.points(without=self._cloud)
+        most, radius = settings.display_points, settings.display_radius
+        if (most == 0 and radius == 0.0) or not state.clusters:
+            return np.concatenate([self._cloud.points(), new])
+        most = most or len(self._cloud) + len(new)
+        if len(new) > most:
+            new = new[:: -(-len(new) // most)]
+        newest: NDArray[np.float64] = state.pose(state.clusters[-1].id).translation()
+        old = self._cloud.near(newest, radius or np.inf, most - len(new))
+        return np.concatenate([old, new])
 
     def placed(self, scans: Iterable[PlacedScan]) -> NDArray[np.float64]:
         """Points (N, 3) of scans in the map, metres."""
@@ -151,7 +165,8 @@ class LiveMap:
 
     def _empty_grid(self) -> VoxelGrid:
         settings = self._config.map
-        return VoxelGrid(settings.voxel_size, max_range=settings.max_range, fullest=_FULLEST)
+        size = settings.display_voxel_size or settings.voxel_size
+        return VoxelGrid(size, max_range=settings.max_range, fullest=_FULLEST)
 
     def _add(self, grid: VoxelGrid, scan: PlacedScan) -> None:
         grid.add(scan.points, self._pose(scan))

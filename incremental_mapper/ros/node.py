@@ -39,7 +39,7 @@ from incremental_mapper.ros.live_extrinsics import (
 )
 from incremental_mapper.ros.parameters import NodeParameters
 from incremental_mapper.ros.programs import NODE_NAME
-from incremental_mapper.ros.publishers import Outputs
+from incremental_mapper.ros.publishers import Outputs, node_name
 from incremental_mapper.ros.subscriptions import Inputs
 from incremental_mapper.ros.updates import (
     Reply,
@@ -107,7 +107,9 @@ class MapperNode:
         self._outputs = Outputs(self.node, self.parameters, self._worker.inbox)
         self._predicted = make_imu_odometry(self.node, config)
         self._worker.outside_findings = self._findings.lasting
-        self._health = Health(self.node.get_name(), self._inputs, self._worker, self._findings)
+        self._health = Health(
+            node_name(self.node), self._inputs, self._worker, self._findings, self._logger
+        )
         self._diagnostics = self.node.create_publisher(
             DiagnosticArray, '/diagnostics', QoSProfile(depth=10)
         )

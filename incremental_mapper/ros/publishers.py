@@ -65,6 +65,12 @@ class _Shown:
     last: float = -np.inf
 
 
+def node_name(node: Node) -> str:
+    """The node's name in diagnostics: with its namespace where it has one."""
+    full: str = node.get_fully_qualified_name()
+    return full if node.get_namespace() != '/' else str(node.get_name())
+
+
 class Outputs:
     """All publishers of results; used in the executor's thread only."""
 
@@ -75,7 +81,7 @@ class Outputs:
         self.transforms = make_transforms(node, parameters.config.tf, self._frames)
         self._datum = DatumPublisher(node, self._frames.map)
         self._node = node
-        self._node_name = node.get_name()
+        self._node_name = node_name(node)
         self._windows = 0  # counts changes of the map
 
         def publish(kind: type, topic: str, qos: QoSProfile) -> Any:

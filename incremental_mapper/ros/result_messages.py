@@ -112,7 +112,7 @@ def cloud_message(stamp: int, points: NDArray[np.floating], frame: str) -> Point
     """Points (N, 3) in metres as x, y, z float32."""
     # rclpy copies an array.array of bytes as a block and anything else element by element.
     data = array.array('B')
-    data.frombytes(np.ascontiguousarray(points, dtype='<f4').tobytes())
+    data.frombytes(np.ascontiguousarray(points, dtype='<f4').reshape(-1).view(np.uint8).data)
     return PointCloud2(
         header=header(stamp, frame),
         height=1,
@@ -140,10 +140,21 @@ def stats_message(
     return DiagnosticArray(header=header(stamp, ''), status=[status(name, level, message, values)])
 
 
-def status(name: str, level: bytes, message: str, values: Mapping[str, Any]) -> DiagnosticStatus:
-    """A diagnostic status; values other than text are written as JSON."""
+def status(
+    name: str, level: bytes, message: str, values: Mapping[str, Any], hardware: str = ''
+) -> DiagnosticStatus:
+    """A diagnostic status; values other than text are written as JSON.
+
+    Without ``hardware`` it is about the program, whose name comes before the colon.
+    """
     pairs = [KeyValue(key=key, value=_text(value)) for key, value in values.items()]
-    return DiagnosticStatus(name=name, level=level, message=message, hardware_id='', values=pairs)
+    return DiagnosticStatus(
+        name=name,
+        level=level,
+        message=message,
+        hardware_id=hardware or name.partition(':')[0],
+        values=pairs,
+    )
 
 
 def read_status(status: DiagnosticStatus) -> dict[str, Any]:

@@ -55,6 +55,8 @@ class Inputs:
     ``hand_on`` takes the measurements, each with the frame_id of its message, in the order in
     which the messages reached the middleware, and with the stamps and numbers of their messages:
     the worker puts them right. While ``paused`` they are counted and left out.
+    ``heard`` is when the newest message of each sensor was taken, seconds on the steady clock;
+    ``examples`` says what was wrong with the first of each sensor and reason.
     """
 
     def __init__(
@@ -62,6 +64,8 @@ class Inputs:
     ) -> None:
         self.paused = False
         self.received: Counter[str] = Counter()
+        self.heard: dict[str, float] = {}
+        self.examples: dict[tuple[str, str], str] = {}
         self.topics: dict[str, str] = {}
         self.types: dict[str, str] = {}
         self._node = node
@@ -158,14 +162,14 @@ class Inputs:
     def _on_message(self, place: _Subscribed, message: Any, received: int) -> None:
         name = place.name
         self.received[name] += 1
+        self.heard[name] = time.monotonic()
         if self.paused:
             self._drops[name, 'paused'] += 1
             return
         try:
             measurement = place.stream.make(message, name)
         except MeasurementError as error:
-            if (name, error.reason) not in self._drops:
-                self._logger.warning(f'{name}: {error} (said once; /diagnostics counts)')
+            self.examples.setdefault((name, error.reason), str(error))
             self._drops[name, error.reason] += 1
             return
         if name not in self._newest:

@@ -120,3 +120,39 @@ def test_memory_is_that_of_the_voxels():
         grid.add(piece, np.eye(4))
     assert empty < 100
     assert 36 * len(points) <= grid.nbytes <= 64 * len(points)
+
+
+@pytest.mark.parametrize('most', [10**6, 3000, 0])
+@pytest.mark.parametrize('radius', [np.inf, 25.0])
+def test_near_has_the_nearest_within_the_radius(most, radius):
+    rng = np.random.default_rng(4)
+    grid = VoxelGrid(SIZE)
+    for step in range(30):  # a drive: what comes late is far from what came early
+        points = rng.uniform([-8, -8, 0], [8, 8, 3], (1000, 3)) + [4.0 * step, 0.0, 0.0]
+        grid.add(points.astype(np.float32), np.eye(4))
+    centre = np.array([60.0, 2.0, 0.0])
+    everything = grid.points()
+    found = grid.near(centre, radius, most)
+    assert len(found) <= most
+    rows = {tuple(row) for row in everything.tolist()}
+    assert {tuple(row) for row in found.tolist()} <= rows and len(found) == len(
+        {tuple(row) for row in found.tolist()}
+    )
+    distance = np.linalg.norm(everything[:, :2] - centre[:2], axis=1)
+    within = np.sort(distance[distance <= radius])
+    # A voxel counts by its middle, whole rings at a time.
+    slack = SIZE
+    wanted = min(most, int((distance <= radius - slack).sum()))
+    if most < len(within):
+        assert most * 0.97 <= len(found)
+        nearest = within[most - 1] if most else 0.0
+    else:
+        assert len(found) >= wanted
+        nearest = radius
+    if len(found):
+        assert np.linalg.norm(found[:, :2] - centre[:2], axis=1).max() <= nearest + slack
+
+
+def test_near_of_an_empty_grid():
+    assert VoxelGrid(SIZE).near(np.zeros(2), np.inf, 10).shape == (0, 3)
+    assert VoxelGrid(SIZE).near(np.zeros(2), 5.0, 10).shape == (0, 3)

@@ -213,7 +213,7 @@ def test_exception_in_the_mapper_loses_no_map(start_node, messages, tmp_path, ex
     stats = session.finish()
     found = session.diagnostics()
     assert found['worker']['mapper_failures'] == 1
-    assert message_of(session, 'worker') == 'mapper failures: 1'
+    assert 'mapper failures: 1' in message_of(session, 'worker')
     # Nine windows, nine more after the one that failed, and every scan and fix accounted for.
     assert stats['windows'] > 9 and stats['components'] == 1
     assert (tmp_path / 'kept').exists() == saves
