@@ -77,6 +77,9 @@ DROP_REASONS = {
         'the position repeats while the vehicle moves', 'restart the receiver or its driver'
     ),
     'datum_outlier': DropReason('the first fixes contradict all later ones', 'none needed'),
+    'far_from_datum': DropReason(
+        'the fix is too far from the datum of the settings', 'correct the datum, or leave it out'
+    ),
     'out_of_range': DropReason('latitude and longitude are no place', 'correct the driver'),
     'duplicate_stamp': DropReason(
         'the same sensor and stamp a second time', 'does a bag play twice, or have two publishers?'
