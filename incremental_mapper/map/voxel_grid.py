@@ -209,7 +209,7 @@ def _enclose(cells: NDArray[np.int32], boxes: NDArray[np.int32], first: int, aft
 def _square(cell: NDArray[np.int32], middle: NDArray[np.float64]) -> float:
     """Square of the distance of a voxel from ``middle`` in the plane, voxels."""
     x, y = cell[0] + 0.5 - middle[0], cell[1] + 0.5 - middle[1]
-    return x * x + y * y
+    return float(x * x + y * y)
 
 
 @kernel
@@ -219,7 +219,7 @@ def _far_off(boxes: NDArray[np.int32], box: int, middle: NDArray[np.float64], li
         return False
     x = max(boxes[box, 0] - middle[0], middle[0] - boxes[box, 1] - 1.0, 0.0)
     y = max(boxes[box, 2] - middle[1], middle[1] - boxes[box, 3] - 1.0, 0.0)
-    return x * x + y * y > limit * limit
+    return bool(x * x + y * y > limit * limit)
 
 
 @kernel
@@ -234,7 +234,7 @@ def _furthest(
         square = max(square, x * x + y * y)
     for i in range(len(boxes) * STRETCH, len(cells)):
         square = max(square, _square(cells[i], middle))
-    return np.sqrt(square)
+    return float(np.sqrt(square))
 
 
 @kernel
