@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from enum import StrEnum
+from pathlib import Path
 from typing import Annotated, Any, Self, TypeAlias
 
 import numpy as np
@@ -380,13 +381,32 @@ class ImuOdometrySettings(Section):
     """Seconds after the last window's newest state for which it is carried on."""
 
 
+def _folder_name(text: str) -> str:
+    """A folder that can be made: it needs a name of its own."""
+    if text and ('\0' in text or Path(text).name in ('', '..')):
+        raise ValueError(f'{text!r} names no folder that could be made')
+    return text
+
+
+FolderName: TypeAlias = Annotated[str, AfterValidator(_folder_name)]
+
+
 class SaveSettings(Section):
     """Node: where maps are saved. A number is added to a name that is taken."""
 
-    folder: str = Field(default='incremental_map', min_length=1)
+    folder: FolderName = Field(default='incremental_map', min_length=1)
     """Folder that the service save_map writes."""
-    on_shutdown: str = ''
+    on_shutdown: FolderName = ''
     """Folder to save into at shutdown and before a time jump resets the map; empty saves not."""
+    every: float = Field(default=0.0, ge=0.0, le=86400.0)
+    """Seconds between two saves of the data while the node runs, into a folder named as ``folder``
+    with _autosave, where each one takes the place of the one before; 0 is never."""
+    fallback: str = ''
+    """Folder that takes a map whose own place cannot be written; empty takes the system's folder
+    for temporary files."""
+    candidates: bool = True
+    """Write candidates.parquet too, where pyarrow is installed; keeps every candidate in a
+    temporary file, about 50 MB an hour."""
 
 
 class TimeJumpPolicy(StrEnum):

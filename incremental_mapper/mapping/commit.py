@@ -63,6 +63,8 @@ def commit(state: GraphState, window: int, choice: Choice, problem: WindowProble
     factors = [*problem.factors.factors(candidate), *choice.extra]
     made = [_renamed(factor, final) for factor in factors]
     stamps = {item.id: item.cluster.stamp for item in placed}
+    # Before anything changes: where points cannot be kept, G(t-1) is as it was.
+    scans, fixes = _measurements(state, placed, problem, made)
     if choice.solution is not None and not choice.extra:
         prior = commit_solution(state.prior, choice.solution, final, stamps)
         error = choice.solution.error
@@ -73,7 +75,6 @@ def commit(state: GraphState, window: int, choice: Choice, problem: WindowProble
         plain = [factor.factor for factor in made]
         prior, _ = smoother_update(state.prior, plain, values, stamps, config.graph.max_iterations)
         error = squared_error(plain, prior.base)
-    scans, fixes = _measurements(state, placed, problem, made)
     if fixes:
         state.define_enu(problem.inputs.enu_offset)
     state.add_clusters(placed, scans, fixes)

@@ -133,9 +133,6 @@ class Mapper:
 
         Returns:
             The windows that were closed, oldest first; most often none.
-
-        Raises:
-            OutputError: ``map.store: disk`` has no room left.
         """
         return list(self.advance(measurement))
 
@@ -221,6 +218,7 @@ class Mapper:
             findings=self._watch.final(
                 lambda: judge_map(self._state, values, self.config),
                 lambda: outcome_findings(self._outcome()),
+                lambda: self._state.store.findings,
             ),
             failed=tuple(self._records),
         )
@@ -232,7 +230,13 @@ class Mapper:
     @property
     def findings(self) -> tuple[Finding, ...]:
         """What was found wrong with the measurements so far, the worst first."""
-        return ranked([*self._watch.findings(), *outcome_findings(self._outcome())])
+        return ranked(
+            [
+                *self._watch.findings(),
+                *outcome_findings(self._outcome()),
+                *self._state.store.findings,
+            ]
+        )
 
     @property
     def mend(self) -> Tree:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from incremental_mapper.candidates.model import Candidate
 from incremental_mapper.checks.finding import Finding
 from incremental_mapper.config import MapSettings
+from incremental_mapper.errors import OutputError
 from incremental_mapper.graph.factors import Factor
 from incremental_mapper.map.cloud import accumulate
 from incremental_mapper.mapping.statistics import MapStatistics
@@ -68,24 +69,41 @@ class MapResult:
     findings: tuple[Finding, ...] = ()
     failed: tuple[WindowRecord, ...] = ()
 
-    def placed_scans(self) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float64]]]:
-        """Points (N, 3) in base_link and T_map_base (4, 4) of every scan."""
+    def placed_scans(
+        self, unreadable: list[str] | None = None
+    ) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float64]]]:
+        """Points (N, 3) in base_link and T_map_base (4, 4) of every scan.
+
+        Args:
+            unreadable: Takes why scans cannot be read back; they are left out. Where it is None,
+                the first one raises OutputError.
+        """
         for scan in self.scans:
+            try:
+                points = scan.points
+            except OutputError as error:
+                if unreadable is None:
+                    raise
+                unreadable.append(str(error))
+                continue
             pose = self.values.atPose3(pose_key(scan.cluster)).compose(scan.T_cluster_scan)
-            yield scan.points, pose.matrix()
+            yield points, pose.matrix()
 
     @property
     def stats(self) -> dict[str, Any]:
         """``statistics`` as the keys of ``stats.json``."""
         return self.statistics.to_tree()
 
-    def points(self, settings: MapSettings) -> NDArray[np.float32]:
+    def points(
+        self, settings: MapSettings, unreadable: list[str] | None = None
+    ) -> NDArray[np.float32]:
         """The map, thinned to one mean point a voxel.
 
         Args:
             settings: Voxel size and range.
+            unreadable: See ``placed_scans``.
 
         Returns:
             Points (N, 3) in the map, metres.
         """
-        return accumulate(self.placed_scans(), settings.voxel_size, settings.max_range)
+        return accumulate(self.placed_scans(unreadable), settings.voxel_size, settings.max_range)

@@ -6,8 +6,11 @@
 ``failed_window_N.npz`` (see ``window_record``) where a window failed.
 """
 
+import contextlib
 import csv
+import errno
 import json
+import os
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -88,7 +91,8 @@ def write_result(
     """Write all data files of a run; pictures are not among them.
 
     Every file is written beside its name first and then renamed, so that an interrupted run
-    leaves no torn file.
+    leaves no torn file. Trajectory and graph come first; the points, which are most of the
+    bytes, come last.
 
     Args:
         folder: An existing folder.
@@ -100,14 +104,14 @@ def write_result(
         OutputError: A file cannot be written.
     """
     _write(folder / TRAJECTORY, lambda path: write_tum(path, result.trajectory))
-    _write(folder / MAP, lambda path: write_ply(path, points))
-    _write(folder / GRAPH_G2O, lambda path: _write_g2o(path, result))
     graph = graph_tree(result.clusters, result.factors, result.values)
     _write(folder / GRAPH, lambda path: _write_json(path, graph))
+    _write(folder / GRAPH_G2O, lambda path: _write_g2o(path, result))
     _write(folder / WINDOWS, lambda path: _write_rows(path, result.rows))
     for record in result.failed:
         _write(folder / record.name, partial(Path.write_bytes, data=record.data))
     _write(folder / STATISTICS, lambda path: _write_json(path, stats, indent=2))
+    _write(folder / MAP, lambda path: write_ply(path, points))
 
 
 def draw_result(
@@ -271,6 +275,11 @@ def _write_g2o(path: Path, result: MapResult) -> None:
         if isinstance(factor.factor, gtsam.BetweenFactorPose3):
             graph.push_back(factor.factor.rekey([cluster_of(key) for key in factor.keys]))
     gtsam.writeG2o(graph, poses, str(path))
+    # GTSAM says nothing where the disk is full: a line for each pose and factor must be there.
+    with path.open('rb') as file:
+        lines = sum(block.count(b'\n') for block in iter(partial(file.read, 1 << 20), b''))
+    if lines != poses.size() + graph.size():
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 def _write_json(path: Path, tree: Mapping[str, Any], indent: int | None = None) -> None:
@@ -292,6 +301,8 @@ def _write(path: Path, write: Callable[[Path], object]) -> None:
         write(beside)
         beside.replace(path)
     except OSError as error:
+        with contextlib.suppress(OSError):
+            beside.unlink()  # of no use, and it may take the room of what comes next
         raise OutputError(f'{path}: cannot be written ({error.strerror})') from error
 
 

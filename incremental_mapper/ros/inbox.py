@@ -24,6 +24,7 @@ class Order(StrEnum):
     FLUSH = 'flush'
     RESET = 'reset'
     SAVE = 'save_map'
+    AUTOSAVE = 'autosave'
     STOP = 'stop'
 
 

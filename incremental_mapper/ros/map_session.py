@@ -3,6 +3,7 @@
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 
 from incremental_mapper.checks.finding import Finding, ranked
@@ -13,13 +14,16 @@ from incremental_mapper.mapping.odometry_frame import OdometryFrame
 from incremental_mapper.mapping.result import WindowResult
 from incremental_mapper.mapping.statistics import peak_rss_mb
 from incremental_mapper.measurements import Drops, Measurement
+from incremental_mapper.results.candidate_spool import CandidateSpool
+from incremental_mapper.results.candidate_table import FILE_NAME
 from incremental_mapper.results.run_statistics import InputFacts
 from incremental_mapper.ros.inbox import View
 from incremental_mapper.ros.live_map import LiveMap
-from incremental_mapper.ros.saving import Saved, save_map
+from incremental_mapper.ros.saving import Snapshot
 from incremental_mapper.ros.subscriptions import GNSS, IMU
 from incremental_mapper.ros.updates import ViewUpdate, WindowUpdate
 from incremental_mapper.smoothing.graph_state import PlacedScan
+from incremental_mapper.visualization.extras import LIBRARIES
 
 FAILED = 'mapper_failed'
 """Why a measurement was lost where the mapper raised."""
@@ -42,10 +46,16 @@ class MapSession:
         self._started: float | None = None
         self._odometry = OdometryFrame(config.odometry)
         self._scans = 0
+        # Looked for, not imported: the process that saves needs it, not this one.
+        wanted = config.save.candidates and find_spec(LIBRARIES[FILE_NAME]) is not None
+        folder = Path(config.map.store_folder) if config.map.store_folder else None
+        self._spool = CandidateSpool(folder) if wanted else None
 
     def close(self) -> None:
         """Let go of the mapper's processes."""
         self._mapper.close()
+        if self._spool is not None:
+            self._spool.close()
 
     def advance(self, measurement: Measurement, shedding: LoadShedding) -> Iterator[WindowUpdate]:
         """Map a measurement; the windows that it completes are told of one by one."""
@@ -79,21 +89,22 @@ class MapSession:
         """The findings that ``mend`` puts right."""
         return self._mapper.mended
 
-    def save(self, folder: Path, drops: Drops, findings: Iterable[Finding]) -> Saved:
-        """Save the map into ``folder`` or beside it.
+    @property
+    def empty(self) -> bool:
+        """Whether nothing was mapped."""
+        return not self._mapper.state.clusters
+
+    def snapshot(self, drops: Drops, findings: Iterable[Finding]) -> Snapshot:
+        """The map as it stands, to be saved by a fork of this process.
 
         Args:
-            folder: The folder; where it exists, another name is taken.
             drops: What never reached the mapper.
             findings: What was wrong with it.
-
-        Raises:
-            OutputError: There is nothing to save, or the folder cannot be written.
         """
         counts = dict(self._mapper.stats()['received'])
         facts = InputFacts('ROS topics', 'ROS topics', counts)
         known = (*findings, *self._mended)
-        return save_map(folder, self._mapper, drops, self._wall(), facts, known)
+        return Snapshot(self._mapper, drops, self._wall(), facts, known, peak_rss_mb(), self._spool)
 
     def taken(self, reason: str) -> Drops:
         """Everything that the mapper took in and has not counted as dropped.
@@ -119,6 +130,8 @@ class MapSession:
 
     def _update(self, result: WindowResult) -> WindowUpdate:
         self._live.follow()
+        if self._spool is not None:
+            self._spool.add(result)
         stats, wall = self._mapper.stats(), self._wall()
         stats |= {
             'wall_s': wall,

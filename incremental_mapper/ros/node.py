@@ -103,6 +103,7 @@ class MapperNode:
         self._inputs = Inputs(self.node, config, self._on_measurement)
         self._watch = InputWatch(self._inputs.topics, config.lidars)
         self._extrinsics = self._make_extrinsics()
+        self._worker.save_settings = lambda: self.parameters.config.save
         self._worker.outside_drops = self._outside_drops
         self._outputs = Outputs(self.node, self.parameters, self._worker.inbox)
         self._predicted = make_imu_odometry(self.node, config)
@@ -130,8 +131,16 @@ class MapperNode:
         topics = ', '.join(self._inputs.topics.values())
         self._logger.info(f'listening on {topics}')
 
-    def spin(self, stop: Callable[[], bool]) -> None:
-        """Work until ``stop`` says so or the context is shut down, then finish what is open."""
+    def spin(self, stop: Callable[[], bool], hurry: Callable[[], bool] = lambda: False) -> bool:
+        """Work until ``stop`` says so or the context is shut down, then finish what is open.
+
+        Args:
+            stop: Ends the work.
+            hurry: Ends the waiting for pictures, too, which are then made without the node.
+
+        Returns:
+            Whether every map that was to be saved is saved as it should be.
+        """
         executor = SingleThreadedExecutor(context=self._context)
         executor.add_node(self.node)
         try:
@@ -141,6 +150,8 @@ class MapperNode:
             # Publishers and services go on while the worker finishes.
             while self._worker.running() and self._context.ok():
                 executor.spin_once(TICK)
+                if hurry():
+                    self._worker.saves.hurry.set()
         except ExternalShutdownException:
             self._begin_stop()
         self._worker.join()
@@ -150,6 +161,7 @@ class MapperNode:
             executor.spin_once(0.0)
         executor.shutdown()
         self.node.destroy_node()
+        return self._worker.saves.failed == 0
 
     def _begin_stop(self) -> None:
         if not self._stopping:
@@ -251,6 +263,7 @@ class MapperNode:
     def _on_tick(self) -> None:
         self._inputs.look()
         self._extrinsics.look()
+        self._worker.look()
         self._mend_inputs()
         self._worker.graph_span = self.parameters.config.graph.markers_span
         self._outputs.tick()
@@ -322,21 +335,21 @@ def main(args: list[str] | None = None) -> int:
         args: The program and its arguments; None takes those of this process.
 
     Returns:
-        The exit status.
+        The exit status: 1 where the node cannot start, or a map is not saved as it should be.
     """
     words = sys.argv if args is None else args
     read_own_arguments(words[1:])
-    wanted = threading.Event()
+    wanted, again = threading.Event(), threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: wanted.set())
+        signal.signal(number, lambda *_: (again if wanted.is_set() else wanted).set())
     try:
-        _start(args).spin(wanted.is_set)
+        saved = _start(args).spin(wanted.is_set, again.is_set)
     except MapperError as error:
         print(f'{NODE_NAME}: {error}', file=sys.stderr)
         return 1
     finally:
         rclpy.try_shutdown()
-    return 0
+    return 0 if saved else 1
 
 
 def _start(args: list[str] | None) -> MapperNode:

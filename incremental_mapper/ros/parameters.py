@@ -25,6 +25,10 @@ CHANGEABLE = (
     'path.publish_period',
     'graph.markers_period',
     'graph.markers_span',
+    'save.folder',
+    'save.on_shutdown',
+    'save.every',
+    'save.fallback',
 )
 """Parameters that may change while the node runs; all others are read-only."""
 DEFAULT_LIDARS = ('left', 'right')

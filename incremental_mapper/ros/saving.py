@@ -1,100 +1,234 @@
-"""Saving a map while the node runs: complete or not at all, and never over anything."""
+"""Writing a map: complete in its place, or what there is of it, and never over anything.
 
+Data only. Pictures and ``candidates.parquet`` take longer and can be made afterwards.
+"""
+
+import os
 import shutil
 import tempfile
-import traceback
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
-from incremental_mapper.checks.finding import Finding
+from incremental_mapper.checks.finding import Finding, Severity
 from incremental_mapper.errors import OutputError
 from incremental_mapper.mapping.mapper import Mapper
-from incremental_mapper.mapping.result import MapResult
 from incremental_mapper.measurements import Drops
-from incremental_mapper.results.run_folder import draw_result, write_result
+from incremental_mapper.results.candidate_spool import CandidateSpool
+from incremental_mapper.results.candidate_table import FILE_NAME, candidate_recorder
+from incremental_mapper.results.run_folder import GRAPH, TRAJECTORY, write_result
 from incremental_mapper.results.run_statistics import InputFacts, RunStatistics
-from incremental_mapper.visualization.extras import left_out
+
+EMPTY = 'the map is empty, nothing was saved; no scan and no fix was mapped yet'
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Snapshot:
+    """A map as it stands, and what is told of it.
+
+    Attributes:
+        mapper: What is saved.
+        drops: What was lost before the mapper.
+        wall: Seconds since the first measurement.
+        facts: What stats.json says of the input.
+        findings: What was wrong with the input, before the mapper's own.
+        peak_rss_mb: The largest resident memory of the node.
+        spool: The candidates of all windows, where they are kept.
+    """
+
+    mapper: Mapper
+    drops: Drops
+    wall: float
+    facts: InputFacts
+    findings: tuple[Finding, ...]
+    peak_rss_mb: float
+    spool: CandidateSpool | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """Where a map is to go.
+
+    Attributes:
+        folder: The folder; where it exists, ``folder_2`` and so on is made.
+        fallback: Takes the folder's name where its own place cannot be written; None gives up.
+        replaces: ``folder`` is the same map at an earlier time, and goes once the new one stands.
+    """
+
+    folder: Path
+    fallback: Path | None = None
+    replaces: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class Saved:
-    """The folder that was made, and a remark where there are no pictures in it.
+    """The folder that was made.
 
-    ``warnings`` are what was wrong with the map and its input, the worst first.
+    ``trouble`` says why it is another one than was wanted, or what is missing in it; ``warnings``
+    are what was wrong with the map and its input, the worst first.
     """
 
     folder: Path
-    note: str | None
+    trouble: str = ''
     warnings: tuple[Finding, ...] = ()
 
 
-def save_map(
-    wanted: Path,
-    mapper: Mapper,
-    drops: Drops,
-    wall: float,
-    facts: InputFacts,
-    findings: Iterable[Finding] = (),
-) -> Saved:
-    """Write the files of ``map`` while the mapper may go on afterwards.
+@dataclass(frozen=True, slots=True)
+class _Attempt:
+    """A hidden folder beside the place that it is meant for, and why it is not complete."""
+
+    target: Path
+    scratch: Path | None
+    trouble: str = ''
+
+    @property
+    def useful(self) -> bool:
+        """Whether it holds trajectory and graph."""
+        scratch = self.scratch
+        return scratch is not None and all(
+            (scratch / name).exists() for name in (TRAJECTORY, GRAPH)
+        )
+
+    def drop(self) -> None:
+        """Leave nothing of it."""
+        if self.scratch is not None:
+            shutil.rmtree(self.scratch, ignore_errors=True)
+
+
+def save_map(target: Target, snapshot: Snapshot) -> Saved:
+    """Write the data files of ``map``.
 
     Args:
-        wanted: the folder; where it exists, ``wanted_2`` and so on is made.
-        mapper: what is saved.
-        drops: what was lost before the mapper.
-        wall: seconds since the first measurement.
-        facts: what stats.json says of the input.
-        findings: what was wrong with the input, before the mapper's own.
+        target: Where to.
+        snapshot: The map; its mapper may go on afterwards.
 
     Returns:
-        The folder that was made, with what was wrong, and a remark where pictures are missing.
+        The folder that was made.
 
     Raises:
-        OutputError: there is nothing to save, or the folder cannot be written.
+        OutputError: There is nothing to save, or nothing of it can be written anywhere.
     """
-    result = mapper.result()
+    result = snapshot.mapper.result()
     if not result.clusters:
-        raise OutputError('the map is empty, nothing was saved; no scan and no fix was mapped yet')
-    points = result.points(mapper.config.map)
-    target = wanted.expanduser().absolute()
+        raise OutputError(EMPTY)
+    unreadable: list[str] = []
+    points = result.points(snapshot.mapper.config.map, unreadable)
+    lost = _unreadable_finding(unreadable)
+    findings = [*snapshot.findings, *lost]
+    statistics = RunStatistics.of_run(
+        result, snapshot.drops, snapshot.wall, len(points), snapshot.facts, findings=findings
+    )
+    tree = replace(statistics, peak_rss_mb=snapshot.peak_rss_mb).to_tree()
+    folder = target.folder.expanduser().absolute()
+    place, trouble = _put(
+        folder, target, lambda scratch: write_result(scratch, result, points, tree)
+    )
+    missing = [finding.text for finding in lost]
+    return Saved(place, '; '.join([trouble, *missing] if trouble else missing), statistics.warnings)
+
+
+def write_candidates(folder: Path, spool: CandidateSpool) -> str | None:
+    """Add ``candidates.parquet`` to a saved map; returns a remark where that cannot be done.
+
+    Args:
+        folder: The folder of the map.
+        spool: The candidates of its windows.
+    """
+    try:
+        with candidate_recorder(folder / FILE_NAME) as record:
+            if record is not None:
+                for window in spool.windows():
+                    record(window)
+    except (OutputError, OSError) as error:
+        return f'no {FILE_NAME}: {error}'
+    return f'{FILE_NAME} ends early: {spool.trouble}' if spool.trouble else None
+
+
+def _unreadable_finding(reasons: list[str]) -> list[Finding]:
+    if not reasons:
+        return []
+    text = f'the points of {len(reasons)} scans are left out: {reasons[0]}'
+    remedy = 'look at the disk of map.store_folder'
+    return [Finding('scans_unreadable', Severity.ERROR, '', text, remedy)]
+
+
+def _put(folder: Path, target: Target, write: Callable[[Path], None]) -> tuple[Path, str]:
+    """Write into the wanted place, else the fallback, else what can be written of it.
+
+    Returns:
+        The folder, and why it is not as wanted.
+    """
+    attempts = [_attempt(folder, write)]
+    if attempts[0].trouble and target.fallback is not None:
+        attempts.append(_attempt(target.fallback.absolute() / folder.name, write))
+    newest = attempts[-1]
+    trouble = attempts[0].trouble
+    try:
+        if not newest.trouble:
+            elsewhere = f'not in its place, copy it from there: {trouble}' if trouble else ''
+            return _stand(newest, target.replaces and not trouble), elsewhere
+        for attempt in attempts:
+            if attempt.useful and not target.replaces:
+                part = attempt.target.with_name(f'{attempt.target.name}_incomplete')
+                return _stand(replace(attempt, target=part), False), f'incomplete: {trouble}'
+    except OSError as error:
+        trouble = f'{newest.target}: cannot be written ({error.strerror or error})'
+    finally:
+        for attempt in attempts:
+            attempt.drop()
+    raise OutputError(trouble)
+
+
+def _attempt(target: Path, write: Callable[[Path], None]) -> _Attempt:
+    """Write into a hidden folder beside ``target``."""
     scratch: Path | None = None
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         scratch = Path(tempfile.mkdtemp(prefix=f'.{target.name}.', dir=target.parent))
         # mkdtemp makes folders that only their owner can read.
         scratch.chmod(0o755)
-        statistics = RunStatistics.of_run(
-            result, drops, wall, len(points), facts, findings=findings
-        )
-        write_result(scratch, result, points, statistics.to_tree())
-        note = _draw(scratch, result, points)
-        place = _free_name(target)
-        scratch.rename(place)
-        scratch = None
-        return Saved(place, note, statistics.warnings)
+        write(scratch)
+        _sync(scratch)
     except OSError as error:
-        raise OutputError(f'{target}: cannot be written ({error.strerror or error})') from error
-    finally:
-        if scratch is not None:
-            shutil.rmtree(scratch, ignore_errors=True)
+        reason = error.strerror or str(error)
+        return _Attempt(target, scratch, f'{target}: cannot be written ({reason})')
+    except OutputError as error:
+        return _Attempt(target, scratch, str(error).replace(str(scratch), str(target)))
+    except BaseException:
+        _Attempt(target, scratch).drop()
+        raise
+    return _Attempt(target, scratch)
 
 
-def _draw(folder: Path, result: MapResult, points: NDArray[np.float32]) -> str | None:
-    """Draw the pictures; returns a remark where they cannot be drawn."""
-    try:
-        draw_result(folder, result, points, None)
-    # The drawing library may raise anything, and a map is worth saving without pictures.
-    except Exception:
-        return f'no pictures:\n{traceback.format_exc()}'
-    return left_out(['pictures'])
+def _sync(folder: Path) -> None:
+    """Wait until a folder's files are on the disk: a robot's power may be cut at any time."""
+    for path in (*folder.iterdir(), folder):
+        number = os.open(path, os.O_RDONLY)
+        try:
+            os.fsync(number)
+        finally:
+            os.close(number)
 
 
-def _free_name(target: Path) -> Path:
+def _stand(attempt: _Attempt, replaces: bool) -> Path:
+    """Give an attempt its name, or one that is free."""
+    assert attempt.scratch is not None
+    target = attempt.target
+    if not replaces or not target.is_dir():
+        place = free_name(target)
+        attempt.scratch.rename(place)
+        return place
+    # No two folders can change places in one step; one of both has its name at any moment.
+    previous = free_name(target.with_name(f'{target.name}_previous'))
+    target.rename(previous)
+    attempt.scratch.rename(target)
+    shutil.rmtree(previous, ignore_errors=True)
+    return target
+
+
+def free_name(target: Path) -> Path:
+    """The path itself, or with the first number that makes it one that is not taken."""
     numbers = count(2)
     place = target
     while place.exists() or place.is_symlink():

@@ -5,10 +5,9 @@ import threading
 import traceback
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from pathlib import Path
 
-from incremental_mapper.checks.finding import Finding, Severity, ranked
-from incremental_mapper.config import Config
+from incremental_mapper.checks.finding import Finding, ranked
+from incremental_mapper.config import Config, SaveSettings
 from incremental_mapper.datasets.sectors import SectorGatherer
 from incremental_mapper.datasets.sensor_settings import with_settings
 from incremental_mapper.errors import MapperError
@@ -17,7 +16,8 @@ from incremental_mapper.results.offline_run import MOST_MENDS
 from incremental_mapper.ros.beginning import Beginning
 from incremental_mapper.ros.inbox import Command, Deadline, Inbox, Order, Renewal
 from incremental_mapper.ros.map_session import FAILED, MapSession
-from incremental_mapper.ros.saving import Saved
+from incremental_mapper.ros.saves import Saves
+from incremental_mapper.ros.saving import Snapshot
 from incremental_mapper.ros.time_jumps import JumpFilter
 from incremental_mapper.ros.updates import Reply, Restarted, Trouble, Update, WindowUpdate
 from incremental_mapper.settings import make_config, merge, to_tree
@@ -63,6 +63,9 @@ class Worker:
         self._sectors: dict[str, SectorGatherer] = {}
         self._mends = 0
         self._known: tuple[Finding, ...] = ()  # what the settings put right by now
+        self.saves = Saves(emit, lambda: self.save_settings())
+        self.save_settings: Callable[[], SaveSettings] = lambda: config.save
+        self._autosave_waits = False
         self._session: MapSession | None = MapSession(config)
 
     def start(self) -> None:
@@ -77,6 +80,12 @@ class Worker:
     def running(self) -> bool:
         """Whether the thread has not ended."""
         return self._thread.is_alive()
+
+    def look(self) -> None:
+        """Order an autosave, if it is time; called now and then by another thread."""
+        if not self._autosave_waits and self.saves.due():
+            self._autosave_waits = True
+            self.inbox.put(Command(Order.AUTOSAVE))
 
     def join(self) -> None:
         """Wait for the end."""
@@ -128,10 +137,11 @@ class Worker:
             if item.order is Order.STOP:
                 self._finish()
                 return False
-            reply = Reply(item.ticket, False, 'the mapper failed; the log says how')
+            reply: Reply | None = Reply(item.ticket, False, 'the mapper failed; the log says how')
             with self._guarded():
                 reply = self._obey(item)
-            self._emit(reply)
+            if reply is not None:
+                self._emit(reply)
         elif isinstance(item, Renewal):
             self._renew(item)
         elif item is not None and self._too_late():
@@ -151,7 +161,7 @@ class Worker:
             self._fail()
             self._begin('the mapper failed')
 
-    def _fail(self) -> None:
+    def _fail(self, last: bool = False) -> None:
         """Tell of the exception and keep what was mapped before it, as far as it can be had."""
         self.failures += 1
         self._emit(Trouble(f'the mapper failed:\n{traceback.format_exc()}'))
@@ -159,7 +169,7 @@ class Worker:
             # Anything may be missing from the state of a mapper that failed.
             with contextlib.suppress(Exception):
                 self._lost = self._lost + self._session.in_no_cluster()
-        self._save_quietly()
+        self._save_quietly(last)
 
     def _begin(self, reason: str) -> str | None:
         """Leave the map for a new one; returns why there is none, if so."""
@@ -271,11 +281,18 @@ class Worker:
         try:
             self._drain()
         except Exception:
-            self._fail()
+            self._fail(last=True)
         else:
-            self._save_quietly()
+            self._save_quietly(last=True)
+        self.saves.finish()
 
-    def _obey(self, command: Command) -> Reply:
+    def _obey(self, command: Command) -> Reply | None:
+        """Do what is ordered; returns the reply, unless it comes later or nobody waits for one."""
+        if command.order is Order.AUTOSAVE:
+            self._autosave_waits = False
+            if self._session is not None and not self._session.empty:
+                self.saves.now_and_then(self._session, self._snapshot(self._session))
+            return None
         if command.order is Order.RESET:
             self.jumps.restart()
             trouble = self._begin('asked to')
@@ -284,40 +301,21 @@ class Worker:
             return Reply(command.ticket, False, NO_MAP)
         if command.order is Order.FLUSH:
             return Reply(command.ticket, True, f'{self._drain()} windows closed')
-        try:
-            return self._told(command, self._save(self._session, Path(self.config.save.folder)))
-        except MapperError as error:
-            return Reply(command.ticket, False, str(error))
-        # A folder that could not be written is no reason to lose the map.
-        except Exception:
-            self._emit(Trouble(f'saving failed:\n{traceback.format_exc()}'))
-            return Reply(command.ticket, False, 'saving failed; the log says how')
+        self.saves.asked(command, self._snapshot(self._session))
+        return None
 
-    @staticmethod
-    def _told(command: Command, saved: Saved) -> Reply:
-        """The answer to who wants a map saved: no success where it is not to be trusted."""
-        worst = [item for item in saved.warnings if item.severity is not Severity.MENDED][:1]
-        failed = any(finding.severity is Severity.ERROR for finding in worst)
-        remark = ''.join(f'; {finding.titled()}' for finding in worst)
-        return Reply(command.ticket, not failed, f'saved to {saved.folder}{remark}')
+    def _snapshot(self, session: MapSession) -> Snapshot:
+        return session.snapshot(self.drops(), self.outside_findings())
 
-    def _save_quietly(self) -> None:
+    def _save_quietly(self, last: bool = False) -> None:
         """Save where the settings want a map saved that ends; whatever fails is told."""
-        folder = self.config.save.on_shutdown
-        if not folder or self._session is None:
+        if self._session is None:
+            if last:
+                self.saves.nothing()
             return
         try:
-            place = self._save(self._session, Path(folder)).folder
-        except MapperError as error:
-            self._emit(Trouble(str(error)))
-        # As in _fail, or where the folder's pictures cannot be drawn.
+            self.saves.ends(self._snapshot(self._session), last)
+        # Anything may be missing from the state of a mapper that failed.
         except Exception:
+            self.saves.failed += 1
             self._emit(Trouble(f'saving failed:\n{traceback.format_exc()}'))
-        else:
-            self._emit(Trouble(f'saved to {place}'))
-
-    def _save(self, session: MapSession, folder: Path) -> Saved:
-        saved = session.save(folder, self.drops(), self.outside_findings())
-        if saved.note is not None:
-            self._emit(Trouble(saved.note))
-        return saved

@@ -1,6 +1,7 @@
 """The accumulated map, and the stores that its scans are kept in."""
 
 import gc
+import resource
 from pathlib import Path
 
 import numpy as np
@@ -106,3 +107,20 @@ def test_folder_that_cannot_hold_the_map_is_named(tmp_path):
         make_store(
             make_config({'map': {'store': 'disk', 'store_folder': str(tmp_path / 'nowhere')}}).map
         )
+
+
+def test_full_disk_keeps_scans_in_memory_and_then_counts_them(tmp_path):
+    scans = [np.full((100, 3), number, dtype=np.float32) for number in range(6)]
+    store = DiskStore(tmp_path, most_in_memory=2400)
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (3000, before[1]))
+    try:
+        kept = [store.put(scan) for scan in scans[:5]]
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    kept.append(store.put(scans[5]))  # there is room again
+    for number in (0, 1, 2, 3, 5):
+        np.testing.assert_array_equal(kept[number].load(), scans[number])
+    assert kept[4].load().shape == (0, 3)
+    (finding,) = store.findings
+    assert finding.rule == 'store_full' and 'points of 1 scans are left out' in finding.text
