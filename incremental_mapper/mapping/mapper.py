@@ -29,6 +29,7 @@ from incremental_mapper.mapping.judgement import judge_map
 from incremental_mapper.mapping.load_shedding import NO_SHEDDING, LoadShedding
 from incremental_mapper.mapping.newest_state import NewestState, newest_state
 from incremental_mapper.mapping.result import MapResult, WindowResult
+from incremental_mapper.mapping.same_stamp import prefer_usable
 from incremental_mapper.mapping.scan_intake import ScanIntake
 from incremental_mapper.mapping.statistics import MapStatistics, Totals, map_statistics, window_row
 from incremental_mapper.mapping.watch import Watch
@@ -99,7 +100,7 @@ class Mapper:
         self._imu = ImuIntake(config.imu, config.preintegration.gravity)
         self._scans = ScanIntake()
         awaited = [name for name in sensors if name != 'imu' or config.imu.enabled]
-        self._buffer = WindowBuffer(config.window, awaited, predict)
+        self._buffer = WindowBuffer(config.window, awaited, predict, prefer_usable(config))
         # Closed, and waiting for their scans or to be merged with the next.
         self._held: list[tuple[Window, Preparation]] = []
         self._shedding = NO_SHEDDING

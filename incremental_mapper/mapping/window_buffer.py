@@ -12,7 +12,7 @@ was closed, is late.
 """
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 from incremental_mapper.config import WindowSettings
@@ -63,15 +63,21 @@ class WindowBuffer:
     """Sorts incoming measurements and hands out closed windows in order.
 
     ``sensors`` are those to wait for from the start; others are waited for once they are seen.
-    With ``predict`` none is waited for beyond what is usual for it.
+    With ``predict`` none is waited for beyond what is usual for it. ``better`` tells whether a
+    measurement takes the place of one with its sensor and stamp.
     """
 
     def __init__(
-        self, settings: WindowSettings, sensors: Iterable[str] = (), predict: bool = False
+        self,
+        settings: WindowSettings,
+        sensors: Iterable[str] = (),
+        predict: bool = False,
+        better: Callable[[CoreInput, CoreInput], bool] = lambda new, held: False,
     ) -> None:
         self._awaited = set(sensors)
         self._predict = predict
         self._paces: dict[str, Pace] = {}
+        self._better = better
         self._duration = round(settings.duration * NANOSECONDS)
         self._lateness = round(settings.lateness * NANOSECONDS)
         self._core: dict[tuple[int, str], CoreInput] = {}
@@ -172,6 +178,8 @@ class WindowBuffer:
                 self._imu[key] = measurement
         elif key in self._core:
             self.drops[sensor, 'duplicate_stamp'] += 1
+            if self._better(measurement, self._core[key]):
+                self._core[key] = measurement
         elif stamp <= self._closed_core:
             self.drops[sensor, 'late'] += 1
         else:

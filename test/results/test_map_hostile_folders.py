@@ -71,7 +71,7 @@ def test_scan_that_is_one_point_many_times(map_light, light_copy):
     np.full((4000, 4), 7.0, dtype='<f4').tofile(scans(light_copy)[5])
     run = map_light(light_copy, strategy='mom')
     assert run.status == 0
-    assert run.stats['notes'] == {'left: too few points to match': 1}
+    assert run.stats['dropped'] == {'left': {'too_few_points': 1}}
 
 
 def test_scan_of_noise_does_not_bend_the_trajectory(map_light, light_copy):
