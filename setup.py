@@ -54,6 +54,7 @@ setup(
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
         (f'share/{NAME}/config', SETTINGS),
+        (f'share/{NAME}/launch', ['launch/mapper.launch.py']),
     ],
     install_requires=[
         'annotated-types>=0.6',
