@@ -10,8 +10,6 @@ import pytest
 
 import incremental_mapper
 
-pytestmark = pytest.mark.smoke
-
 NAMES = [name for name in incremental_mapper.__all__ if not name.startswith('_')]
 FUNCTIONS = [name for name in NAMES if inspect.isfunction(getattr(incremental_mapper, name))]
 CLASSES = [name for name in NAMES if inspect.isclass(getattr(incremental_mapper, name))]

@@ -12,8 +12,6 @@ import pytest
 
 from incremental_mapper import __version__ as VERSION  # noqa: N812
 
-pytestmark = pytest.mark.smoke
-
 ROOT = Path(__file__).parents[1]
 LAUNCH = ROOT / 'launch' / 'mapper.launch.py'
 NAME = 'incremental_mapper'
@@ -33,11 +31,10 @@ KEYS = {
     'tqdm': 'python3-tqdm',
     'matplotlib': 'python3-matplotlib',
     'jinja2': 'python3-jinja2',
-    'distributed': 'python3-distributed',
 }
 """rosdep's keys of distributions that have one; the others come from PyPI."""
-OPTIONAL = {'tf2_ros', 'tf2_msgs', 'geographic_msgs'}
-"""ROS packages without which the node does less."""
+HAS_LAUNCH = importlib.util.find_spec('launch_ros') is not None
+"""Not so among the wheels of PyPI."""
 
 
 def imported():
@@ -115,7 +112,7 @@ class Made:
 @pytest.fixture
 def launched(monkeypatch):
     """The launch file, with stand-ins for launch where that is not installed, as on PyPI."""
-    if importlib.util.find_spec('launch_ros') is None:
+    if not HAS_LAUNCH:
         for module, names in {
             'launch': ['LaunchDescription'],
             'launch.actions': ['DeclareLaunchArgument', 'OpaqueFunction'],
@@ -133,7 +130,7 @@ def launched(monkeypatch):
 
 
 def test_launch_file_describes_the_node_and_its_arguments(launched):
-    if importlib.util.find_spec('launch_ros') is not None:
+    if HAS_LAUNCH:
         assert launched['generate_launch_description']().entities
         return
     description = launched['generate_launch_description']()
