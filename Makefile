@@ -19,12 +19,13 @@ INSTALLED := .venv/.installed
 MAPPER := $(BIN)/incremental_mapper
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help install demo bare table bench test mutants lint types check format docs pictures clean
+.PHONY: help install demo bare colcon table bench test mutants lint types check format docs pictures clean
 
 help:
 	@echo 'make demo    simulate a drive of DEMO_SECONDS ($(DEMO_SECONDS)) seconds, map it, draw it, play it'
 	@echo '             into the ROS node and check that the node makes the same of it'
 	@echo 'make bare    install without extras into a folder of its own, and try what works there'
+	@echo 'make colcon  build and test in a colcon workspace, with colcon from PyPI'
 	@echo 'make table   evaluate all strategies on simulated drives with the stamps of the paper, which'
 	@echo '             TIMING=DIR holds, and write docs/table.md, .csv and .tex; JOBS=N side by side'
 	@echo 'make bench   all figures of the speed in one table; BENCH_LONG=S and BENCH_HOUR=MIN set the'
@@ -71,6 +72,9 @@ demo: $(INSTALLED)
 
 bare: $(INSTALLED)
 	PYTHON=$(PYTHON) .ci/bare
+
+colcon: $(INSTALLED)
+	PYTHON=$(PYTHON) .ci/colcon
 
 table: $(INSTALLED)
 	@test -d '$(TIMING)' || { echo 'TIMING=$(TIMING) is no folder; name the one with the stamps' \

@@ -1,12 +1,13 @@
 """Hostile messages among those of a drive: no crash, flat memory, and the map that it gives alone.
 
-    python benchmarks/fuzz.py [--count 20000] [--seed 1] [--seconds 5] [--only map|node]
+    python benchmarks/fuzz.py [--count 20000] [--seeds 1,2,3,4,5] [--seconds 5] [--only map|node]
                               [--rate 0.1] [--domain N] [--out FOLDER]
 
 A short simulated drive is mapped alone and with hostile messages among its own: clouds whose
 layout is nonsense, values that are no numbers, stamps of other centuries, data that are cut or
 noise (``lies.hostile`` has them, drawn with a seed). ``map`` reads them from a bag, and the node
-gets them over DDS from a publisher, as raw data where they are raw. Printed are exit status, memory
+gets them over DDS from a publisher, as raw data where they are raw, no faster than it follows:
+what is asked is what the messages do, and not what overload does. Printed are exit status, memory
 over time, and how far the two trajectories are apart; the exit status is 1 where a program crashed,
 memory grew, or the maps differ by more than their noise.
 """
@@ -20,11 +21,11 @@ import tempfile
 import threading
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from lies.hostile import KINDS, Sent, mixed, valid
@@ -32,6 +33,7 @@ from lies.recording import DRIVES, STORE, TRUTH, Recording, make_drive
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from incremental_mapper.datasets.truth import read_truth
+from incremental_mapper.errors import InputError
 from incremental_mapper.results.trajectory_errors import trajectory_errors
 from incremental_mapper.trajectory import match_truth, read_tum
 
@@ -40,6 +42,8 @@ NOISE = 0.025
 begin elsewhere: 0.010 to 0.022 in the six pairs of four runs."""
 GROWTH = 60.0
 """Megabytes by which the hostile run's memory may be above that of the drive alone."""
+FULL, EMPTY = 60, 20
+"""Scans and fixes in the node's queue at which the publisher waits, and until which."""
 ALONE_RATE = 0.5
 """Of the drive's time, at which it is sent where nothing else is among it."""
 LOOK = 0.2
@@ -67,6 +71,10 @@ class Result:
         """``stats.json``; empty where there is none."""
         path = self.folder / 'stats.json'
         return json.loads(path.read_text()) if path.exists() else {}
+
+
+Program: TypeAlias = Callable[[str, Sequence[Sent], float], Result]
+"""Takes a folder's name, messages and the rate at which they come; returns what it made of them."""
 
 
 class Memory:
@@ -145,12 +153,12 @@ def _node(settings: Path, out: Path, domain: int) -> Iterator[tuple[Any, Any, Pa
 
 def run_node(sent: Sequence[Sent], settings: Path, out: Path, domain: int, rate: float) -> Result:
     """Publish messages into a node, in the time of the drive, and save its map."""
-    from incremental_mapper.errors import InputError
-
     out.parent.mkdir(parents=True, exist_ok=True)
     with _node(settings, out, domain) as (process, client, log):
         memory = Memory(process.pid)
-        publish(sent, domain, rate)
+        began = time.monotonic()
+        publish(sent, domain, rate, lambda: _waiting(client, process))
+        pace = len(sent) / (time.monotonic() - began)
         status, said = 0, ''
         try:
             _settle(client)
@@ -163,9 +171,17 @@ def run_node(sent: Sequence[Sent], settings: Path, out: Path, domain: int, rate:
         samples = memory.stop()
         parts = client.diagnostics[-1]
     received = {name: parts[name]['received'] for name in parts if 'received' in parts[name]}
+    print(f'{len(sent)} messages into the node, {pace:.0f} a second', flush=True)
     printed = f'{said}\nreceived {received}\nworker {parts["worker"]}\n' + log.read_text()
     saved = Path(said.removeprefix('saved to ').partition(';')[0]) if status == 0 else out
     return Result(status, printed, samples, saved)
+
+
+def _waiting(client: Any, process: Any) -> int:
+    """Scans and fixes that wait in the node; -1 where it has ended."""
+    if process.poll() is not None:
+        return -1
+    return int(client.diagnostics[-1]['worker']['queue_core'])
 
 
 def _settle(client: Any) -> None:
@@ -181,8 +197,13 @@ def _settle(client: Any) -> None:
     client.call('flush', 300.0)
 
 
-def publish(sent: Sequence[Sent], domain: int, rate: float) -> None:
-    """Send messages as they are, at ``rate`` times the pace at which they were recorded."""
+def publish(
+    sent: Sequence[Sent], domain: int, rate: float, waiting: Callable[[], int] = lambda: 0
+) -> None:
+    """Send messages as they are, at ``rate`` times the pace at which they were recorded.
+
+    More slowly where ``waiting``, what waits in the node, says so.
+    """
     import rclpy
     from rclpy.context import Context
     from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -216,6 +237,13 @@ def publish(sent: Sequence[Sent], domain: int, rate: float) -> None:
             wait = begin + (item.logged - first) / 1e9 / rate - time.monotonic()
             if wait > 0.001:
                 time.sleep(wait)
+            if waiting() > FULL:
+                while waiting() > EMPTY:
+                    time.sleep(LOOK)
+                # Later messages keep their distance from this one.
+                begin = time.monotonic() - (item.logged - first) / 1e9 / rate
+            if waiting() < 0:
+                raise InputError('the node has ended')
             publishers[item.topic].publish(item.data)
         time.sleep(2.0)
     finally:
@@ -272,7 +300,7 @@ def main() -> int:
     """Run the program; returns the exit status."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])  # type: ignore[union-attr]
     parser.add_argument('--count', type=int, default=20_000, metavar='N')
-    parser.add_argument('--seed', type=int, default=1, metavar='N')
+    parser.add_argument('--seeds', default='1', metavar='N,N,...')
     parser.add_argument('--seconds', type=float, default=5.0, metavar='S')
     parser.add_argument('--only', choices=['map', 'node'])
     parser.add_argument('--rate', type=float, default=0.1, help='of the drive, into the node')
@@ -288,37 +316,66 @@ def main() -> int:
 
 
 def run(args: argparse.Namespace, work: Path) -> int:
-    """Both halves; returns the exit status."""
-    recording = make_drive(replace(DRIVES['curve'], seconds=args.seconds), work / 'drive')
+    """Both halves for every seed; returns the exit status."""
+    recording = make_drive(DRIVES['curve'], work / 'drive', args.seconds)
     truth = recording.folder / 'global_pose.csv'
-    alone, among = list(valid(recording)), list(mixed(recording, args.count, args.seed))
-    kinds = Counter(item.kind for item in among if item.kind)
-    print(f'{len(alone)} messages of the drive, {kinds.total()} hostile of {len(kinds)} kinds')
-    for name in ('alone', 'among', 'map_alone', 'map_among'):
-        shutil.rmtree(work / name, ignore_errors=True)
+    shutil.rmtree(work / 'alone', ignore_errors=True)
+    alone = list(valid(recording))
+    bag = write_bag(alone, recording, work / 'alone')
+    programs = _programs(args, bag, work)
+    base = {name: start('alone', alone, ALONE_RATE) for name, start in programs.items()}
+    lines: list[str] = []
     good = True
-    bags = [
-        write_bag(alone, recording, work / 'alone'),
-        write_bag(among, recording, work / 'among'),
-    ]
+    for seed in (int(word) for word in args.seeds.split(',')):
+        among = list(mixed(recording, args.count, seed))
+        kinds = Counter(item.kind for item in among if item.kind)
+        print(f'\nseed {seed}: {kinds.total()} hostile messages of {len(kinds)} kinds')
+        for name, start in programs.items():
+            result = start(f'among_{seed}', among, args.rate)
+            fine = report(f'{name}, seed {seed}', base[name], result, truth)
+            good &= fine
+            paths = [one.folder / 'trajectory.tum' for one in (base[name], result)]
+            off = apart(*paths)[0] if all(path.exists() for path in paths) else np.inf
+            growth = max(result.memory) - max(base[name].memory)
+            verdict = 'ok' if fine else 'FAILS'
+            lines.append(
+                f'| {name} | {seed} | {result.status} | {off:.4f} | {growth:+.0f} | {verdict} |'
+            )
+            print(flush=True)
+    print('\n| program | seed | status | trajectories apart, m | memory, MB | verdict |')
+    print('|---|---:|---:|---:|---:|---|')
+    print('\n'.join(lines))
+    print('\n' + ('as it should be' if good else 'NOT as it should be'))
+    return 0 if good else 1
+
+
+def _programs(args: argparse.Namespace, settings: Path, work: Path) -> dict[str, Program]:
+    """What takes messages: each by its name, called with a folder's name, messages and rate."""
+    found: dict[str, Program] = {}
     if args.only != 'node':
-        results = [run_map(bag, work / f'map_{bag.name}') for bag in bags]
-        good &= report('map', results[0], results[1], truth)
+
+        def with_map(name: str, sent: Sequence[Sent], _: float) -> Result:
+            source, out = work / f'bag_{name}', work / f'map_{name}'
+            for folder in (source, out):
+                shutil.rmtree(folder, ignore_errors=True)
+            recording = make_drive(DRIVES['curve'], work / 'drive', args.seconds)
+            try:
+                return run_map(write_bag(sent, recording, source), out)
+            finally:
+                shutil.rmtree(source)  # a gigabyte
+
+        found['map'] = with_map
     if args.only != 'map':
         from incremental_mapper.datasets.bags import SETTINGS_FILE
         from incremental_mapper.ros.programs import free_domain
 
         domain = args.domain or free_domain()
-        results = [
-            run_node(sent, bags[0] / SETTINGS_FILE, work / f'node_{name}', domain, rate)
-            for name, sent, rate in (
-                ('alone', alone, ALONE_RATE),
-                ('among', among, args.rate),
-            )
-        ]
-        good &= report('node', results[0], results[1], truth)
-    print('\n' + ('as it should be' if good else 'NOT as it should be'))
-    return 0 if good else 1
+
+        def with_node(name: str, sent: Sequence[Sent], rate: float) -> Result:
+            return run_node(sent, settings / SETTINGS_FILE, work / f'node_{name}', domain, rate)
+
+        found['node'] = with_node
+    return found
 
 
 if __name__ == '__main__':

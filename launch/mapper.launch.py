@@ -6,13 +6,17 @@ Topics are those of the parameters (``lidars.NAME.topic``, ``imu.topic``, ``fix.
 remapped: ``remappings:="imu:=/sensing/imu fix:=/sensing/gnss/fix"``.
 """
 
-from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
+from launch import LaunchDescription
+
 ARGUMENTS = {
-    'params_file': ('', 'YAML file of parameters, such as "incremental_mapper check --write" makes'),
+    'params_file': (
+        '',
+        'YAML file of parameters, such as "incremental_mapper check --write" makes',
+    ),
     'namespace': ('', 'namespace of the node'),
     'name': ('incremental_mapper', 'name of the node'),
     'remappings': ('', 'pairs from:=to, with spaces between them'),

@@ -66,7 +66,7 @@ def from_pypi():
 
 
 def is_ros(name):
-    return name in {'rclpy', 'builtin_interfaces', 'rcl_interfaces', 'tf2_ros'} or name.endswith(
+    return name in {'rclpy', 'builtin_interfaces', 'rcl_interfaces'} or name.endswith(
         ('_msgs', '_srvs')
     )
 
@@ -155,3 +155,14 @@ def test_launch_file_describes_the_node_and_its_arguments(launched):
     assert node.named['respawn'] is True
     # ros2 launch waits 5 s by default: less than a map takes to be saved.
     assert float(node.named['sigterm_timeout']) >= 30 <= float(node.named['sigkill_timeout'])
+
+
+def test_colcon_lines_of_the_pages_are_those_that_ci_runs():
+    page = (ROOT / 'docs' / 'quickstart.md').read_text(encoding='utf-8')
+    script = (ROOT / '.ci' / 'colcon').read_text(encoding='utf-8')
+    lines = [line for line in page.splitlines() if line.startswith('python -m colcon ')]
+    assert len(lines) == 3
+    ran = {line.strip().removeprefix('works ') for line in script.splitlines()}
+    assert set(lines) <= ran
+    assert '.ci/colcon' in (ROOT / 'Makefile').read_text(encoding='utf-8')
+    assert 'make colcon' in (ROOT / '.ci' / 'run').read_text(encoding='utf-8')

@@ -95,6 +95,12 @@ def _random_leap(rng: Rng, message: Any) -> Any:
     return restamped(message, min(max(stamp_of(message) + shift, 1), (2**31 - 1) * NANOSECONDS))
 
 
+def _stray(rng: Rng, message: Any) -> Any:
+    """A stamp 1.5 s to an hour ahead or behind, which the clock of a driver may well give."""
+    seconds = float(np.exp(rng.uniform(np.log(1.5), np.log(3600.0)))) * int(rng.choice([-1, 1]))
+    return restamped(message, stamp_of(message) + round(seconds * NANOSECONDS))
+
+
 def _header(**changes: Any) -> Spoil:
     """A message whose stamp is no time."""
 
@@ -141,6 +147,7 @@ ANY: dict[str, Spoil] = {
     'leap_hour': _at(3600.0),
     'leap_back': _at(-30.0),
     'leap_random': _random_leap,
+    'stray': _stray,
     'same_stamp': lambda _, m: m,
     'same_stamp_no_frame': lambda _, m: replace(m, header=replace(m.header, frame_id='')),
     'same_stamp_long_frame': lambda _, m: replace(m, header=replace(m.header, frame_id=LONG)),
@@ -197,6 +204,14 @@ def _wild_times(rng: Rng, cloud: Any) -> Any:
     return cloud_of(cloud, table(points, time=('<f8', times)))
 
 
+def _few_far(rng: Rng, cloud: Any) -> Any:
+    """A whole cloud with a few points where no LiDAR sees."""
+    points = np.array(points_of(cloud), dtype=np.float32)
+    some = rng.integers(0, len(points), 50)
+    points[some] *= np.float32(10.0) ** rng.uniform(6.0, 30.0, (50, 1)).astype(np.float32)
+    return cloud_of(cloud, table(points))
+
+
 CLOUDS: dict[str, Spoil] = {
     'width_most': _cloud(width=MOST),
     'height_most': _cloud(height=MOST),
@@ -222,6 +237,8 @@ CLOUDS: dict[str, Spoil] = {
     'points_zero': _points(lambda _, p: p * 0.0),
     'points_beyond_single': _points(lambda _, p: p.astype(float) * 1e300, '<f8'),
     'points_far': _points(lambda _, p: p * 1e20),
+    'points_far_by_any_factor': _points(lambda rng, p: p * 10.0 ** rng.uniform(6.0, 30.0)),
+    'same_stamp_few_far': _few_far,
     'points_one_place': _points(lambda _, p: np.tile(p[:1], (500, 1))),
     'points_noise': _points(
         lambda rng, p: np.frombuffer(rng.bytes(12 * 5 * FEW), dtype='<f4').reshape(-1, 3)
@@ -239,6 +256,11 @@ def _wild_vector(rng: Rng) -> Any:
     return vector([_value(rng) for _ in range(3)])
 
 
+def _absurd(*sizes: float) -> Callable[[Rng], Any]:
+    """A vector of finite values that no sensor gives, each with any sign."""
+    return lambda rng: vector([float(rng.choice(sizes) * rng.choice([-1, 1])) for _ in range(3)])
+
+
 def _wild_turn(rng: Rng) -> Any:
     x, y, z, w = (_value(rng) for _ in range(4))
     return TYPES['geometry_msgs/msg/Quaternion'](x=x, y=y, z=z, w=w)
@@ -251,6 +273,8 @@ def _wild_nine(rng: Rng) -> Any:
 SAMPLES: dict[str, Spoil] = {
     'rates_wild': _sample(angular_velocity=_wild_vector),
     'accelerations_wild': _sample(linear_acceleration=_wild_vector),
+    'rates_absurd': _sample(angular_velocity=_absurd(100.0, 1000.0, 1e5, 1e300)),
+    'accelerations_absurd': _sample(linear_acceleration=_absurd(500.0, 1e4, 1e5, 1e300)),
     'rates_absent': _sample(angular_velocity_covariance=lambda _: np.array([-1.0] + [0.0] * 8)),
     'same_stamp_wild_turn': _sample(orientation=_wild_turn),
     'same_stamp_wild_covariance': _sample(
@@ -267,6 +291,12 @@ FIXES: dict[str, Spoil] = {
     'elsewhere': _sample(
         latitude=lambda rng: float(rng.uniform(-60.0, 60.0)),
         longitude=lambda rng: float(rng.uniform(-180.0, 180.0)),
+    ),
+    'near_elsewhere': lambda rng, m: replace(
+        m, latitude=m.latitude + float(rng.choice([-1, 1]) * rng.uniform(0.001, 1.0))
+    ),
+    'same_stamp_absurd_covariance': _sample(
+        position_covariance=lambda rng: np.diag(rng.choice([0.0, 1e300, -1.0, np.nan], 3)).ravel()
     ),
     'same_stamp_altitude_wild': _sample(altitude=_value),
     'same_stamp_wild_covariance': _sample(position_covariance=_wild_nine),

@@ -31,7 +31,7 @@ RESTARTS = 4
 """Rounds in which the first two scans and their motion are brought to agree."""
 FEWEST_PLACES = 10
 """Places, voxels with points, below which a cloud is no scan of anything: it cannot be matched
-whatever the settings, and what it adds to a map is not worth a pose. VLP-16 in an open field: 400."""
+whatever the settings (``odometry.min_points``), and what it adds to a map is not worth a pose."""
 MATCHING_SHARE = 0.3
 """Scans are thinned for the map before they are thinned again for matching: at most to this
 share of the matcher's voxels, or a coarse map would cost odometry."""

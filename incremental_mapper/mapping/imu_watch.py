@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
 from incremental_mapper.checks.finding import Finding
 from incremental_mapper.checks.imu_beside_lidar import check_motion
@@ -37,6 +38,11 @@ ALIKE = 0.03
 """Seconds, or parts of a quaternion, by which the two answers may differ."""
 SENSIBLE = 1e7
 """Numbers beyond it, of any unit, are no evidence."""
+SPIKE = 20.0
+"""Nor are samples that are so many times further off those around them than 99 of 100 are off the
+middle of all: one of them would outweigh all turns of a drive."""
+AROUND = 5
+"""Samples of which the median says what is usual around the middle one."""
 NEAR = 300 * NANOSECONDS
 """Nor are stamps that are so far from most."""
 
@@ -153,6 +159,7 @@ class ImuWatch:
         order = np.argsort(stamps, kind='stable')
         sensible = np.all(np.abs(rows) < SENSIBLE, axis=1)
         sensible[1:] &= (rows[1:] != rows[:-1]).any(axis=1)  # what is frozen says nothing
+        sensible &= ~_spikes(gyro) & ~_spikes(force)
         # The median: the one that came in the middle may be a stray itself.
         sensible &= np.abs(stamps - stamps[order[len(order) // 2]]) < NEAR
         keep = order[sensible[order]]
@@ -162,6 +169,17 @@ class ImuWatch:
             settings.rate_scale * rows[keep, :3],
             settings.acceleration_scale * rows[keep, 3:],
         )
+
+
+def _spikes(rows: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which rows (K, 3) are far off those around them, whatever their unit."""
+    if len(rows) < AROUND:
+        return np.zeros(len(rows), dtype=bool)
+    with np.errstate(over='ignore', invalid='ignore'):
+        usual = np.quantile(np.abs(rows - np.median(rows, axis=0)), 0.99, axis=0)
+        off = np.abs(rows - median_filter(rows, size=(AROUND, 1), mode='nearest'))
+    spikes: NDArray[np.bool_] = (off > SPIKE * usual).any(axis=1)
+    return spikes
 
 
 def _repeated(finding: Finding, before: Sequence[Finding]) -> bool:

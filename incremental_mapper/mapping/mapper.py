@@ -24,6 +24,7 @@ from incremental_mapper.map.store import make_store
 from incremental_mapper.mapping.base_count import BaseCount
 from incremental_mapper.mapping.commit import NOTHING, Committed, commit
 from incremental_mapper.mapping.georeferencing import georeference, without_fixes
+from incremental_mapper.mapping.imu_gate import gate
 from incremental_mapper.mapping.imu_intake import ImuIntake
 from incremental_mapper.mapping.judgement import judge_map
 from incremental_mapper.mapping.load_shedding import NO_SHEDDING, LoadShedding
@@ -53,6 +54,8 @@ from incremental_mapper.trajectory import from_matrices
 from incremental_mapper.variables import pose_key
 
 LOGGER = logging.getLogger('incremental_mapper')
+IMU = 'imu'
+"""Name of the IMU among the sensors."""
 MOST_RECORDS = 3
 """Failed windows whose inputs are kept for a report; the first ones are nearest to the cause."""
 LARGEST_RECORD = 16_000_000
@@ -314,8 +317,12 @@ class Mapper:
         started = time.perf_counter()
         for sample in window.imu:
             self._keep_orientation(sample)
-        self._series = self._series.joined(window.imu)
         prepared = [item for part in begun for item in self._front_end.collect(part)]
+        turn = self.config.imu.matrix()[:3, :3]
+        gated = gate(self._series.joined(window.imu), prepared, turn)
+        self._series = gated.series
+        if gated.refused:
+            self._failed[IMU, 'contradicted'] += gated.refused
         self._watch.prepared(prepared)
         self._watch.fixes(self._front_end.gate)
         spent = time.perf_counter() - started + sum(part.seconds for part in begun)

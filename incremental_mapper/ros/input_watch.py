@@ -52,6 +52,7 @@ class InputWatch:
         self._newest: dict[str, int] = {}
         self._remarks = Remarks()
         self._clouds: dict[str, list[Points]] = {}
+        self._looked: dict[str, set[int]] = defaultdict(set)  # their stamps
         self._alternating: dict[str, Finding] = {}
         self._sectors: list[Finding] = []
         self._heard: set[str] = set()
@@ -184,8 +185,9 @@ class InputWatch:
     def _look_at_cloud(self, scan: LidarScan, frame: str) -> None:
         """Gather a LiDAR's first clouds, and see whether two take turns under one frame_id."""
         clouds = self._clouds.setdefault(scan.sensor, [])
-        if len(clouds) >= LOOKED_AT:
-            return
+        if len(clouds) >= LOOKED_AT or scan.stamp in self._looked[scan.sensor]:
+            return  # of two with one stamp one is left out: the map is not of both
+        self._looked[scan.sensor].add(scan.stamp)
         clouds.append(scan.points)
         if len(clouds) < LOOKED_AT:
             return

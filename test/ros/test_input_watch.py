@@ -80,6 +80,15 @@ def test_two_lidars_under_one_frame_are_noticed(watch):
     assert 'two_lidars_one_frame' in rules(watch)
 
 
+def test_small_clouds_with_the_stamps_of_whole_ones_are_no_second_lidar(watch):
+    rng = np.random.default_rng(1)
+    whole, small = rng.uniform(-20, 20, (500, 3)), rng.uniform(5, 6, (100, 3))
+    for number in range(40):
+        watch.take(scan(number, points=whole), 'left_lidar')
+        watch.take(scan(number, points=small), 'left_lidar')
+    assert 'two_lidars_one_frame' not in rules(watch)
+
+
 def look(watch, published, times=LOOKS):
     for _ in range(times):
         watch.look_at_topics(TYPES, KEYS, published)

@@ -1,0 +1,88 @@
+"""Samples that contradict the matches are left out, and no others."""
+
+import gtsam
+import numpy as np
+import pytest
+
+from incremental_mapper.candidates.model import CoreKind, CoreMeasurement
+from incremental_mapper.frontend.imu_preintegration import ImuSeries
+from incremental_mapper.frontend.lidar_odometry import PreparedScan
+from incremental_mapper.mapping.imu_gate import gate
+
+MS = 1_000_000
+EYE = np.eye(3)
+SIDEWAYS = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+
+
+def series(seconds=0.5, rate=0.3, turned=EYE):
+    """A car that turns by ``rate`` about its upward axis, at 100 Hz."""
+    count = round(100 * seconds)
+    gyro = np.tile([0.0, 0.0, rate], (count, 1))
+    force = np.tile([0.1, 0.0, 9.81], (count, 1))
+    return ImuSeries(np.arange(count) * 10 * MS, gyro @ turned, force @ turned)
+
+
+def match(number, rate=0.3, sensor='left'):
+    """The match of the scans at ``number`` and ``number`` - 1 tenths of a second."""
+    empty = np.zeros((0, 3))
+    motion = gtsam.Pose3(gtsam.Rot3.Rz(0.1 * rate), gtsam.Point3(1.0, 0.0, 0.0))
+    core = CoreMeasurement(number * 100 * MS, sensor, CoreKind.LIDAR)
+    return PreparedScan(core, empty.astype(np.float32), empty, (number - 1) * 100 * MS, motion)
+
+
+MATCHES = [match(number) for number in range(1, 6)]
+
+
+@pytest.mark.parametrize('turned', [EYE, SIDEWAYS])
+@pytest.mark.parametrize(('value', 'count'), [(15.0, 1), (30.0, 1), (75.0, 1), (20.0, 20)])
+def test_rates_that_no_match_knows_of_are_left_out(turned, value, count):
+    samples = series(turned=turned)
+    samples.gyro[12 : 12 + count] = np.array([0.0, 0.0, value]) @ turned
+    gated = gate(samples, MATCHES, turned)
+    assert gated.refused == count
+    assert np.abs(gated.series.gyro).max() < 1.0
+    assert len(gated.series.stamps) == len(gated.series.acceleration) == 50 - count
+
+
+@pytest.mark.parametrize('count', [1, 10])
+def test_forces_that_no_match_knows_of_are_left_out(count):
+    samples = series()
+    samples.acceleration[12 : 12 + count, 0] = 200.0
+    gated = gate(samples, MATCHES, EYE)
+    assert gated.refused == count
+    assert np.abs(gated.series.acceleration).max() < 10.0
+
+
+def test_a_turn_that_the_matches_see_as_well_stays():
+    samples = series(rate=5.0)
+    assert gate(samples, [match(number, 5.0) for number in range(1, 6)], EYE).refused == 0
+
+
+def test_a_match_that_is_wrong_costs_no_sample_that_turns_as_cars_do():
+    wrong = [match(number, 8.0) for number in range(1, 6)]
+    assert gate(series(), wrong, EYE).refused == 0
+
+
+def test_a_sample_that_another_lidar_vouches_for_stays():
+    samples = series(rate=5.0)
+    both = [*MATCHES, *(match(number, 5.0, 'right') for number in range(1, 6))]
+    assert gate(samples, both, EYE).refused == 0
+
+
+def test_vibration_whose_mean_is_the_motion_stays():
+    samples = series()
+    samples.gyro[:, 0] += 6.0 * np.cos(np.pi * np.arange(50))
+    samples.acceleration[:, 2] += 80.0 * np.cos(np.pi * np.arange(50))
+    assert gate(samples, MATCHES, EYE).refused == 0
+
+
+def test_a_kerb_stays():
+    samples = series()
+    samples.acceleration[20:22, 2] += 45.0
+    assert gate(samples, MATCHES, EYE).refused == 0
+
+
+def test_without_matches_nothing_is_known():
+    samples = series()
+    samples.gyro[12] = 30.0
+    assert gate(samples, [], EYE).series is samples
