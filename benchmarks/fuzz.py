@@ -23,7 +23,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -317,7 +317,7 @@ def main() -> int:
 
 def run(args: argparse.Namespace, work: Path) -> int:
     """Both halves for every seed; returns the exit status."""
-    recording = make_drive(DRIVES['curve'], work / 'drive', args.seconds)
+    recording = _drive(args, work)
     truth = recording.folder / 'global_pose.csv'
     shutil.rmtree(work / 'alone', ignore_errors=True)
     alone = list(valid(recording))
@@ -349,6 +349,10 @@ def run(args: argparse.Namespace, work: Path) -> int:
     return 0 if good else 1
 
 
+def _drive(args: argparse.Namespace, work: Path) -> Recording:
+    return make_drive(replace(DRIVES['curve'], seconds=args.seconds), work / 'drive')
+
+
 def _programs(args: argparse.Namespace, settings: Path, work: Path) -> dict[str, Program]:
     """What takes messages: each by its name, called with a folder's name, messages and rate."""
     found: dict[str, Program] = {}
@@ -358,9 +362,8 @@ def _programs(args: argparse.Namespace, settings: Path, work: Path) -> dict[str,
             source, out = work / f'bag_{name}', work / f'map_{name}'
             for folder in (source, out):
                 shutil.rmtree(folder, ignore_errors=True)
-            recording = make_drive(DRIVES['curve'], work / 'drive', args.seconds)
             try:
-                return run_map(write_bag(sent, recording, source), out)
+                return run_map(write_bag(sent, _drive(args, work), source), out)
             finally:
                 shutil.rmtree(source)  # a gigabyte
 

@@ -78,7 +78,7 @@ def _hostile(rng: Rng, logged: int, topic: str, message: Any) -> Sent:
     # Between two messages; a duplicate says so by itself.
     own = restamped(message, stamp_of(message) + int(rng.integers(1, 5_000_000)))
     made = KINDS[topic][kind](rng, message if kind.startswith('same_stamp') else own)
-    return Sent(logged, topic, kind, made if isinstance(made, bytes) else _data(made))
+    return Sent(logged, topic, kind, made if isinstance(made, bytes) else as_data(made))
 
 
 def _value(rng: Rng) -> float:
@@ -111,29 +111,30 @@ def _header(**changes: Any) -> Spoil:
     return spoil
 
 
-def _data(message: Any) -> bytes:
+def as_data(message: Any) -> bytes:
+    """A message as it goes over the wire."""
     return bytes(STORE.serialize_cdr(message, message.__msgtype__))
 
 
 def _short(rng: Rng, message: Any) -> bytes:
-    data = _data(message)
+    data = as_data(message)
     return data[: int(rng.integers(4, len(data)))]
 
 
 def _noise(rng: Rng, message: Any) -> bytes:
-    return _data(message)[:4] + rng.bytes(int(rng.integers(0, 2000)))
+    return as_data(message)[:4] + rng.bytes(int(rng.integers(0, 2000)))
 
 
 def _long_name(_: Rng, message: Any) -> bytes:
     """The length of the frame_id is that of all memory."""
-    data = bytearray(_data(message))
+    data = bytearray(as_data(message))
     data[12:16] = b'\xff\xff\xff\x7f'
     return bytes(data)
 
 
 def _no_text(_: Rng, message: Any) -> bytes:
     """A frame_id that is no UTF-8."""
-    data = bytearray(_data(message))
+    data = bytearray(as_data(message))
     data[16:18] = b'\xff\xfe'
     return bytes(data)
 
@@ -152,7 +153,7 @@ ANY: dict[str, Spoil] = {
     'same_stamp_no_frame': lambda _, m: replace(m, header=replace(m.header, frame_id='')),
     'same_stamp_long_frame': lambda _, m: replace(m, header=replace(m.header, frame_id=LONG)),
     'raw_short': _short,
-    'raw_empty': lambda _, m: _data(m)[:4],
+    'raw_empty': lambda _, m: as_data(m)[:4],
     'raw_noise': _noise,
     'raw_long_name': _long_name,
     'raw_no_text': lambda rng, m: _no_text(rng, restamped(m, 1)),

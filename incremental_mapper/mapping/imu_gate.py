@@ -34,9 +34,7 @@ class Gated:
     refused: int
 
 
-def gate(
-    series: ImuSeries, prepared: Sequence[Prepared], R_base_imu: NDArray[np.float64]
-) -> Gated:
+def gate(series: ImuSeries, prepared: Sequence[Prepared], R_base_imu: NDArray[np.float64]) -> Gated:
     """Leave out samples that no vehicle can have made while scans matched as they did.
 
     Args:

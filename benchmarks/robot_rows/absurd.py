@@ -1,0 +1,94 @@
+"""Finite values that no sensor measures: they cost at most the window that they fall into."""
+
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from fuzz import run_map, write_bag
+from lies.hostile import Sent, as_data
+from lies.recording import DRIVES, IMU, Recording, make_drive, vector
+
+from incremental_mapper.datasets.truth import read_truth
+from incremental_mapper.results.trajectory_errors import trajectory_errors
+from incremental_mapper.trajectory import read_tum
+from robot_rows import Seen, row
+
+WORSE = 1.1
+"""Times the error of the run without them."""
+AT = 400
+"""The sample of the IMU, of some 700, at which they begin."""
+
+
+def with_rate(value: float) -> Callable[[Any], Any]:
+    """Make a sample turn by so many rad/s."""
+    return lambda sample: replace(sample, angular_velocity=vector([0.0, 0.0, value]))
+
+
+def with_force(value: float) -> Callable[[Any], Any]:
+    """Make a sample accelerate by so many m/s^2."""
+    return lambda sample: replace(sample, linear_acceleration=vector([value, 0.0, 9.81]))
+
+
+def error(recording: Recording, folder: Path, spoil: Callable[[Any], Any], count: int) -> float:
+    """ATE in metres where ``count`` samples are spoilt; infinite without a map."""
+    sent, number = [], 0
+    for logged, topic, message in recording.items:
+        number += topic == IMU
+        spoilt = topic == IMU and AT <= number < AT + count
+        sent.append(Sent(logged, topic, '', as_data(spoil(message) if spoilt else message)))
+    name = f'bag_{len(list(folder.iterdir()))}'
+    result = run_map(write_bag(sent, recording, folder / name), folder / f'map_of_{name}')
+    path = result.folder / 'trajectory.tum'
+    if result.status or not path.exists():
+        return float('inf')
+    errors = trajectory_errors(read_tum(path), read_truth(recording.folder / 'global_pose.csv'))
+    return float('inf') if errors is None else errors.ate_rmse_m
+
+
+def held(folder: Path, spoils: dict[str, tuple[Callable[[Any], Any], int]]) -> Seen:
+    """Map a drive of 7 s alone and with each kind of spoilt samples."""
+    kind = replace(DRIVES['curve'], seconds=7.0)
+    recording = make_drive(kind, folder / 'drive')
+    alone = error(recording, folder, lambda sample: sample, 0)
+    found = {
+        name: error(recording, folder, spoil, count) for name, (spoil, count) in spoils.items()
+    }
+    listed = ', '.join(f'{name}: {value:.4f} m' for name, value in found.items())
+    good = all(value <= WORSE * alone for value in found.values())
+    return Seen(f'ATE alone {alone:.4f} m; {listed}', good)
+
+
+@row('the map ends 117 m or 500 m off and never recovers')
+def one_rate(folder: Path) -> Seen:
+    """One gyro sample of 1000, 100 or 30 rad/s in a 7 s drive."""
+    return held(folder, {f'{v:g} rad/s': (with_rate(v), 1) for v in (1000.0, 100.0, 30.0)})
+
+
+@row('the map ends 117 m or 500 m off and never recovers')
+def one_force(folder: Path) -> Seen:
+    """One acceleration of 1e300, 1e5, 500 or 200 m/s^2 in a 7 s drive."""
+    values = (1e300, 1e5, 500.0, 200.0)
+    return held(folder, {f'{v:g} m/s^2': (with_force(v), 1) for v in values})
+
+
+@row('the map bends')
+def knocked(folder: Path) -> Seen:
+    """0.2 s of 20 rad/s, and 0.2 s of 100 m/s^2, from an IMU that was knocked, in a 7 s drive."""
+    spoils = {'20 rad/s': (with_rate(20.0), 20), '100 m/s^2': (with_force(100.0), 20)}
+    return held(folder, spoils)
+
+
+@row('the node ended 3 times of 3 (LinAlgError in outputs.py)', long=True)
+def fuzz(folder: Path) -> Seen:
+    """20 000 hostile messages with absurd values and stray stamps into the node, five seeds."""
+    program = Path(__file__).parents[1] / 'fuzz.py'
+    words = ['--only', 'node', '--seeds', '1,2,3,4,5', '--out', str(folder)]
+    done = subprocess.run(
+        [sys.executable, str(program), *words], capture_output=True, text=True, check=False
+    )
+    rows = [line for line in done.stdout.splitlines() if line.startswith('| node | ')]
+    listed = '; '.join(' '.join(line.strip('| ').split()) for line in rows)
+    return Seen(f'seed, status, metres apart, MB: {listed}', done.returncode == 0)
