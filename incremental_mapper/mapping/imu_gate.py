@@ -19,7 +19,7 @@ from incremental_mapper.measurements import NANOSECONDS
 LONGEST = NANOSECONDS // 2
 """Nanoseconds; a match over more time says little of a single sample."""
 RATE, MEAN_RATE = 3.0, 1.0
-"""rad/s by which a sample, and the mean over a match, are off the match's turn. The drives here turn
+"""rad/s by which a sample, and the mean over a match, are off its turn. The drives here turn
 by 0.7 rad/s at most. Vibration may be as strong, but not its mean."""
 FORCE, MEAN_FORCE = 50.0, 10.0
 """m/s^2 by which a sample is off the usual force, and the mean over a match. A kerb gives 30 to 50

@@ -159,7 +159,7 @@ class ImuWatch:
         order = np.argsort(stamps, kind='stable')
         sensible = np.all(np.abs(rows) < SENSIBLE, axis=1)
         sensible[1:] &= (rows[1:] != rows[:-1]).any(axis=1)  # what is frozen says nothing
-        sensible &= ~_spikes(gyro) & ~_spikes(force)
+        sensible &= ~_spikes(rows)
         # The median: the one that came in the middle may be a stray itself.
         sensible &= np.abs(stamps - stamps[order[len(order) // 2]]) < NEAR
         keep = order[sensible[order]]
@@ -172,7 +172,7 @@ class ImuWatch:
 
 
 def _spikes(rows: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which rows (K, 3) are far off those around them, whatever their unit."""
+    """Which rows (K, C) are far off those around them, whatever their unit."""
     if len(rows) < AROUND:
         return np.zeros(len(rows), dtype=bool)
     with np.errstate(over='ignore', invalid='ignore'):

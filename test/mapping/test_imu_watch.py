@@ -12,7 +12,7 @@ from incremental_mapper.config import Imu
 from incremental_mapper.frontend.lidar_odometry import PreparedScan
 from incremental_mapper.mapping import imu_watch
 from incremental_mapper.mapping.imu_intake import ImuIntake
-from incremental_mapper.mapping.imu_watch import ImuWatch
+from incremental_mapper.mapping.imu_watch import ImuWatch, _spikes
 from incremental_mapper.mapping.watch import Watch
 from incremental_mapper.measurements import ImuSample
 from incremental_mapper.settings import make_config
@@ -117,3 +117,15 @@ def test_stray_stamps_in_the_middle_hide_nothing():
     strays = [replace(stream[middle], stamp=START - 10**17 + number) for number in range(40)]
     found = watched([*stream[:middle], *strays, *stream[middle:]])
     assert {one.rule for one in found} == {one.rule for one in watched(stream)} != set()
+
+
+def test_one_absurd_sample_is_no_evidence_against_the_imu():
+    rng = np.random.default_rng(2)
+    rows = np.hstack([rng.normal(0.0, 0.3, (700, 3)), rng.normal(0.0, 1.0, (700, 3))])
+    rows[300, 2], rows[400, 3] = 1000.0, 1e5
+    assert np.flatnonzero(_spikes(rows)).tolist() == [300, 400]
+    # The same in other units, and a turn that is a fifth of the drive.
+    assert np.flatnonzero(_spikes(57.3 * rows)).tolist() == [300, 400]
+    turn = np.zeros((700, 6))
+    turn[100:240, 2] = 0.5
+    assert not _spikes(turn).any()
