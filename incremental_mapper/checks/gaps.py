@@ -28,8 +28,9 @@ Tunnels cost fixes, so that half of them may be missing."""
 LONGEST = 10.0
 """Seconds without a LiDAR or an IMU that are told whatever their share; an unaided IMU is off by
 metres, a LiDAR alone by decimetres."""
-SHORTEST_FIX_GAP = 10.0
-"""Seconds without fixes that are nothing: a bridge, a row of trees."""
+SHORTEST_FIX_GAP, SHORT_DRIVE_GAP = 10.0, 2.0
+"""Seconds without fixes that are nothing: a bridge, a row of trees; and where that would be most of
+a short drive. Receivers send once a second."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +72,8 @@ def _absence(item: Presence, first: int, last: int, lidars: Sequence[Presence]) 
     ends = [(first, item.first), (item.last, last)]
     seconds = (last - first) / NANOSECONDS
     fixes = item.sensor == 'gnss'
-    least = SHORTEST_FIX_GAP if fixes else SILENCE
+    most = max(SHORT_DRIVE_GAP, FIX_SHARE * seconds)
+    least = min(SHORTEST_FIX_GAP, most) if fixes else SILENCE
     away = [
         (start, stop)
         for start, stop in sorted([*ends, *item.holes])

@@ -33,6 +33,9 @@ OFF, AGREEING, SIGMAS = 0.15, 0.95, 6.0
 """Share by which the fitted scale may be off 1 where the car turns, the correlation from which that
 is asked, and how many of its standard deviations it must be. Drives here that turn have scales of
 0.97 to 0.99 with correlations of 0.973 and more, and deviations of 0.002 to 0.008."""
+OTHERWISE = 0.3
+"""By how much the rotations correlate better with other axes where the extrinsics, or a sign, are
+wrong. On drives here that turn it is 0.001."""
 TOO_MUCH = 12.0
 """A gyroscope that turns so many times as much as the scans is wrong; 0.8 to 2 on all drives here,
 50 in deg/s."""
@@ -81,14 +84,17 @@ def check_motion(
     if frozen is not None:
         return (frozen,)
     comparison = Comparison(evidence)
-    best = comparison.best()
+    best, lag = comparison.best(), LAG + comparison.half
     together = best is not None and best.likelihood > CERTAIN
     if best is not None and (together or (_is_too_much(best) and best.likelihood > LIKELY)):
         unit = _rate_unit(best, settings)
         clock = _clock(comparison, best, settings) if together else None
         found = [one for one in (unit, clock) if one is not None]
+        if not found and together and _turns_otherwise(best):
+            axes = _axes(compare_axes(evidence), settings) if abs(best.lag) <= lag else None
+            return (axes or _contradiction(best),)
         # With another clock the axes look wrong too.
-        if found or abs(best.lag) > LAG + comparison.half:
+        if found or abs(best.lag) > lag:
             return tuple(found)
     elif best is not None and _disagrees(evidence, best, last):
         return (
@@ -202,8 +208,10 @@ def _axes(axes: Axes, settings: Imu) -> Finding | None:
         if not (axes.rotation == np.eye(3)).all():
             tree['T_base_sensor'] = turned_extrinsics(axes.rotation, settings)
             said.append(f'imu.T_base_sensor: {tree["T_base_sensor"]}')
-        # Where gravity was right and would not be, the LiDARs are the ones that stand otherwise.
-        mended = axes.upright or not axes.was_upright
+        if not axes.upright and axes.was_upright:
+            return _contradicted(
+                f'rotation and acceleration fit those of scan matching only with {", ".join(said)}'
+            )
         text = (
             'accelerations have the wrong sign'
             if len(said) == 1 and axes.sign < 0
@@ -212,27 +220,49 @@ def _axes(axes: Axes, settings: Imu) -> Finding | None:
         )
         return Finding(
             'imu_sign' if text.startswith('acc') else 'imu_axes',
-            Severity.MENDED if mended else Severity.WARNING,
+            Severity.MENDED,
             'imu',
             f'{text}, by gravity, rotation and acceleration of the scan matches',
-            f'{"mended;" if mended else "or the LiDARs do, as gravity was right:"} '
-            + ', '.join(said),
+            'mended; ' + ', '.join(said),
             {'imu': tree},
         )
     angle = _angle(axes.free @ axes.rotation.T)
     if axes.as_said and axes.free_gain > AXES_GAIN and angle > TILTED:
         numbers = turned_extrinsics(axes.free, settings)
-        return Finding(
+        return _switched_off(
             'imu_axes',
-            Severity.WARNING,
-            'imu',
             f'rotation and acceleration fit those of scan matching best with its axes '
             f'{angle:.0f} deg from where T_base_sensor puts them',
             'correct T_base_sensor of the LiDARs or of the IMU; '
             f'about imu.T_base_sensor: {numbers}',
-            {'imu': {'T_base_sensor': numbers}},
         )
     return None
+
+
+def _turns_otherwise(best: Agreement) -> bool:
+    """Whether the gyroscope turns about other axes, or the other way, where the car turns."""
+    return (
+        best.lidar > TURNING and best.turned > AGREEING and best.turned - best.aligned > OTHERWISE
+    )
+
+
+def _contradiction(best: Agreement) -> Finding:
+    """Rotation alone asks for other axes."""
+    return _contradicted(
+        f'rotation correlates with that of scan matching by {best.aligned:.2f}, and would by '
+        f'{best.turned:.2f} with other axes'
+    )
+
+
+def _contradicted(what: str) -> Finding:
+    """Rotation asks for other axes, and gravity or acceleration contradict."""
+    return _switched_off(
+        'imu_axes',
+        f'{what}, which gravity or acceleration contradict: the LiDARs stand otherwise than their '
+        'T_base_sensor says, or the axes of the gyroscope are not those of the accelerometer, or '
+        'one of them has the wrong sign',
+        'correct the driver, or T_base_sensor of the LiDARs',
+    )
 
 
 def _not_upright(evidence: MotionEvidence, settings: Imu) -> Finding:

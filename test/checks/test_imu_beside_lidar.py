@@ -75,10 +75,12 @@ def test_extrinsics_that_are_right_lead_whatever_they_are():
     assert check_motion(evidence(turn=turn, settings=settings), settings, True) == ()
 
 
-def test_axes_between_those_of_base_link_are_told_but_not_used():
+def test_axes_between_those_of_base_link_are_told_and_the_imu_is_not_used():
     found = only(check_motion(evidence(turn=quarter('z', 40)), Imu()))
     assert (found.rule, found.severity) == ('imu_axes', Severity.WARNING)
-    told = Imu(**found.settings['imu']).matrix()[:3, :3]
+    assert found.settings == {'imu': {'enabled': False}} and found.changes
+    numbers = [float(value) for value in found.remedy.rpartition('[')[2].rstrip(']').split(',')]
+    told = Imu(T_base_sensor=numbers).matrix()[:3, :3]
     assert np.degrees(np.arccos((np.trace(told @ quarter('z', -40)) - 1) / 2)) < 5
 
 
@@ -87,7 +89,14 @@ def test_where_gravity_is_right_the_lidars_may_be_wrong():
     tilted = replace(good, turns=good.turns @ turn.T, shifts=good.shifts @ turn.T)
     found = only(check_motion(tilted, Imu()))
     assert (found.rule, found.severity) == ('imu_axes', Severity.WARNING)
-    assert not found.changes
+    assert found.settings == {'imu': {'enabled': False}} and found.changes
+
+
+def test_a_yaw_rate_of_the_wrong_sign_switches_the_imu_off():
+    good = evidence(seconds=20.0)
+    found = only(check_motion(replace(good, gyro=good.gyro * [1.0, 1.0, -1.0]), Imu()))
+    assert (found.rule, found.severity) == ('imu_axes', Severity.WARNING)
+    assert found.settings == {'imu': {'enabled': False}} and found.changes
 
 
 def standing(force=1.0):
