@@ -91,8 +91,8 @@ def check_motion(
         clock = _clock(comparison, best, settings) if together else None
         found = [one for one in (unit, clock) if one is not None]
         if not found and together and _turns_otherwise(best):
-            axes = _axes(compare_axes(evidence), settings) if abs(best.lag) <= lag else None
-            return (axes or _contradiction(best),)
+            other = _axes(compare_axes(evidence), settings) if abs(best.lag) <= lag else None
+            return (other or _contradiction(best),)
         # With another clock the axes look wrong too.
         if found or abs(best.lag) > lag:
             return tuple(found)
