@@ -118,12 +118,10 @@ class Health:
         if self._inputs.paused:
             self._flow.rest(now)
             return None
-        silences = [
-            self._vitals[sensor].silence(now, count)
-            for sensor, count in counts.items()
-            if count.heard is not None
-        ]
-        silent = min(silences, default=0.0)
+        heard = {sensor: item.heard for sensor, item in counts.items() if item.heard is not None}
+        silent = now - max(heard.values(), default=now)
+        if silent <= min((self._vitals[sensor].patience for sensor in heard), default=0.0):
+            silent = 0.0
         return self._flow.look(now, self._inputs.received.total(), self._windows, silent)
 
     def _happened(self) -> dict[str, int]:

@@ -74,7 +74,9 @@ class MapSession:
         """Map, path or graph as they stand; ``graph_span`` is how much of the graph, seconds."""
         stamp = self._mapper.state.frontier.newest_stamp
         if view is View.MAP:
-            return ViewUpdate(view, self._live.points(), stamp)
+            begin = time.perf_counter()
+            points = self._live.points()
+            return ViewUpdate(view, points, stamp, time.perf_counter() - begin)
         if view is View.PATH:
             return ViewUpdate(view, self._live.path(), stamp)
         return ViewUpdate(view, self._live.graph(graph_span), stamp)

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseArray
 from nav_msgs.msg import Odometry, Path
 from numpy.typing import NDArray
+from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
@@ -32,6 +33,7 @@ from incremental_mapper.ros.result_messages import (
 )
 from incremental_mapper.ros.transforms import make_transforms
 from incremental_mapper.ros.updates import ViewUpdate, WindowUpdate
+from incremental_mapper.ros.view_pace import ViewPace
 
 QUIET = PublisherEventCallbacks(use_default_callbacks=False)
 """A reader that asks for more than is offered is told so on its side; every event that the
@@ -62,7 +64,12 @@ class _Shown:
     publisher: Any
     published: int = 0
     asked: bool = False
-    last: float = -np.inf
+    pace: ViewPace = field(default_factory=ViewPace)
+
+    def delivered(self) -> bool:
+        """Whether all reliable readers have what was published."""
+        acknowledged: bool = self.publisher.wait_for_all_acked(Duration(seconds=0))
+        return acknowledged
 
 
 def node_name(node: Node) -> str:
@@ -129,6 +136,7 @@ class Outputs:
         """Publish a view that was asked for."""
         shown = self._views[update.view]
         shown.asked = False
+        begin = time.monotonic()
         frame, content = self._frames.map, update.content
         if isinstance(content, PathView):
             message = path_message(update.stamp, content, frame)
@@ -137,6 +145,7 @@ class Outputs:
         else:
             message = cloud_message(update.stamp, content, frame)
         shown.publisher.publish(message)
+        shown.pace.cost = update.seconds + time.monotonic() - begin
 
     def clear(self) -> None:
         """Take back what late joiners would get of a map that is no more."""
@@ -161,10 +170,10 @@ class Outputs:
         """
         now = time.monotonic()
         for view, shown in self._views.items():
-            due = now - shown.last >= self._period(view)
             stale = shown.published < self._windows and not shown.asked
-            if due and stale and shown.publisher.get_subscription_count() > 0:
-                shown.asked, shown.published, shown.last = True, self._windows, now
+            wanted = stale and shown.publisher.get_subscription_count() > 0
+            if wanted and shown.pace.due(now, self._period(view), shown.delivered):
+                shown.asked, shown.published, shown.pace.last = True, self._windows, now
                 self._inbox.request(view)
 
     def _period(self, view: View) -> float:

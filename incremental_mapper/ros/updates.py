@@ -34,11 +34,15 @@ class WindowUpdate:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewUpdate:
-    """A view that was asked for, and the newest stamp in it (ns); the map is (N, 3), metres."""
+    """A view that was asked for, and the newest stamp in it (ns); the map is (N, 3), metres.
+
+    ``seconds`` is how long it took to make.
+    """
 
     view: View
     content: NDArray[np.float32] | PathView | GraphView
     stamp: int
+    seconds: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -84,12 +84,10 @@ class InputVitals:
         """Seconds between two messages, as a rule; None while it is not known."""
         return median(self._periods) if self._periods else None
 
-    def silence(self, now: float, counts: InputCounts) -> float:
-        """Seconds since the newest message; 0 while that is not yet long."""
-        if counts.heard is None:
-            return 0.0
-        passed = now - counts.heard
-        return passed if passed > self._limit(SILENT) else 0.0
+    @property
+    def patience(self) -> float:
+        """Seconds without a message after which the input is silent."""
+        return self._limit(SILENT)
 
     def look(self, now: float, counts: InputCounts) -> Verdict:
         """Judge the time since the last look.
@@ -104,9 +102,10 @@ class InputVitals:
         received = counts.received - since.received
         if counts.heard is None:
             return Verdict(Level.WARN, 'no message yet')
-        if self.silence(now, counts):
-            level = Level.ERROR if now - counts.heard > self._limit(DEAD) else Level.WARN
-            return Verdict(level, f'no message for {now - counts.heard:.1f} s')
+        silent = now - counts.heard
+        if silent > self.patience:
+            level = Level.ERROR if silent > self._limit(DEAD) else Level.WARN
+            return Verdict(level, f'no message for {silent:.1f} s')
         dropped = grown(counts.dropped, since.dropped)
         rejected = Counter(
             {

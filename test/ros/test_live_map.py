@@ -62,6 +62,29 @@ def test_live_map_is_what_would_be_saved_of_the_same_poses(followed):
     assert len(whole ^ set(taken)) < 0.001 * len(whole)
 
 
+def test_published_map_is_bounded_by_points_and_radius(followed, monkeypatch):
+    mapper, live = followed
+    whole = live.points()
+    newest = np.array(mapper.newest().pose.translation())
+
+    def bounded(**limits):
+        settings = mapper.config.map.model_copy(update=limits)
+        monkeypatch.setattr(mapper, 'config', mapper.config.model_copy(update={'map': settings}))
+        return live.points()
+
+    def distance(points):
+        return np.linalg.norm(points[:, :2] - newest[:2], axis=1)
+
+    everything = bounded(display_points=0, display_radius=0.0)
+    assert np.array_equal(np.sort(everything, axis=0), np.sort(whole, axis=0))
+    few = bounded(display_points=len(whole) * 3 // 4, display_radius=0.0)
+    assert 0.7 * len(whole) < len(few) <= len(whole) * 3 // 4
+    assert len(bounded(display_points=100)) <= 100
+    near = bounded(display_points=0, display_radius=20.0)
+    # What is in the lag is shown in any case.
+    assert (distance(whole) <= 19.0).sum() < len(near) < len(whole)
+
+
 def test_graph_view_holds_the_asked_span_only(followed):
     mapper, live = followed
     newest = mapper.state.frontier.newest_stamp
