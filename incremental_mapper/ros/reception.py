@@ -172,6 +172,9 @@ class Reception:
         found, losses = [], self.losses()
         weak = [name for name, offered in self._publishers if offered != RELIABLE]
         reliable = BEST_EFFORT not in self._due
+        if self._overlapping and self._publishers:
+            # What one lacks the other may bring yet.
+            losses = Losses(0, 0)
         if losses.transport and reliable:
             found.append(lost_of_reliable(sensor, self.topic, losses.transport))
         elif losses.transport:
@@ -287,6 +290,9 @@ class Reception:
             # Of two subscriptions the other one had it.
             self._missing.remove(number)
             self._gaps -= 1
+            return
+        if self._overlapping and self._newest - self._depth < number <= self._newest:
+            # Two subscriptions are taken one after the other.
             return
         newest, self._newest = self._newest, number
         # Several publishers count each for itself, and a new one begins anew.

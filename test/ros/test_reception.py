@@ -212,3 +212,13 @@ def test_an_override_settles_the_reliability(listen):
 def test_overrides_that_cannot_be_used_are_refused(listen, policy, value):
     with pytest.raises(ConfigError, match=r'/fix\.subscription'):
         listen(**{policy: value})
+
+
+def test_two_subscriptions_that_bring_messages_in_turn_have_lost_none(listen):
+    """One brings the first messages later than the other brought one after them."""
+    listening = listen()
+    reception = listening.reception
+    found_by(listening, listening.publisher(RELIABLE))
+    for number in (7, 5, 6, 8, 11, 9, 10, 12):
+        reception._count_gap(number)
+    assert reception.losses().total == 0
