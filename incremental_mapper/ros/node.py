@@ -250,6 +250,7 @@ class MapperNode:
         self._findings.of_part('inputs', self._watch.findings(self._topic_keys))
         self._findings.of_part('places', self._extrinsics.findings)
         self._findings.of_part('transport', self._inputs.of_transport())
+        self._findings.of_part('clocks', self._worker.clock_steps)
 
     @property
     def _topic_keys(self) -> dict[str, str]:

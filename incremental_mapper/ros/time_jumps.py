@@ -1,19 +1,42 @@
-"""Stamps that jump backwards: a looped bag, a clock that was set."""
+"""Stamps that jump: a looped bag, a clock that was set, of all sensors or of one, stray stamps.
 
-from collections import Counter
-from dataclasses import dataclass
+A jump is one only if all sensors that are alive share it. What does not agree with its sensor's
+stamps so far is held until it is decided, so that nothing of a jump is lost:
 
+stray
+    its sensor goes on as before: the message is left out.
+one sensor's clock
+    it goes on from there while another goes on as before: it is left out, counted and told, until
+    its stamps agree with the others' again as they did before.
+all sensors' time
+    all others do the same or are silent: forwards it is a pause, or a clock that was set, and all
+    that was held is mapped; backwards the policy decides.
+"""
+
+from collections import Counter, deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from statistics import median_low
+
+from incremental_mapper.checks.finding import Finding, Severity
+from incremental_mapper.checks.sensor_clocks import listed, setting_name, setting_tree
 from incremental_mapper.config import TimeJumpPolicy, TimeJumpSettings
 from incremental_mapper.measurements import NANOSECONDS, Drops, Measurement
 
 WITNESSES = 5
-"""So many measurements in a row behind the jump prove it; fewer are stray stamps."""
-AGREEMENT = 10 * NANOSECONDS
-"""Witnesses of one jump are no further apart from each other than this; stray stamps are
-anywhere."""
-MAJORITY = 2
-"""So many times as many as the others that came meanwhile are they at least: where a clock was
-set, what is left of the time before are the few that were on their way."""
+"""So many messages beyond a jump prove it, where all sensors that are alive have one of them."""
+OWN_AGREEMENT, AGREEMENT = 60 * NANOSECONDS, 10 * NANOSECONDS
+"""Messages that are held for one jump are no further apart than this, of one sensor and of two;
+stray stamps are anywhere."""
+ALONE = 2
+"""Another sensor that went on with so many messages did not take part in a jump."""
+HOLD = 4 * NANOSECONDS
+"""Nanoseconds of a sensor's messages that are held while it is not decided what they are."""
+SHORTEST_PATIENCE, LONGEST_PATIENCE = NANOSECONDS // 2, 3 * NANOSECONDS
+"""A sensor is waited for to tell whether it jumped too; its periods count in between."""
+_PERIODS = 2.5
+_USUAL = 16
+"""Messages that tell what is usual for a sensor."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,36 +48,69 @@ class Passed:
 
 
 @dataclass(frozen=True, slots=True)
-class _Suspect:
-    """A measurement behind its sensor's newest, and how many were in order before it came."""
+class _Held:
+    """A measurement that is not decided on, and the number of its arrival."""
 
     measurement: Measurement
-    in_order: int
+    order: int
+
+    @property
+    def stamp(self) -> int:
+        return self.measurement.stamp
+
+
+def _usual() -> deque[int]:
+    return deque(maxlen=_USUAL)
+
+
+@dataclass(slots=True)
+class _Sensor:
+    """What is known of one sensor; stamps in ns."""
+
+    newest: int
+    heard: int  # number of the arrival with which it last went on
+    went_on: int = 0  # messages with which it did
+    lags: deque[int] = field(default_factory=_usual)  # how far it is behind the others
+    steps: deque[int] = field(default_factory=_usual)
+    held: list[_Held] = field(default_factory=list)
+    away: int = 0  # messages since it last agreed
+    away_since: dict[str, int] = field(default_factory=dict)  # how far others had gone on by then
+    alone: bool = False
+
+    @property
+    def step(self) -> int | None:
+        return median_low(self.steps) if self.steps else None
+
+    @property
+    def lag(self) -> int:
+        return median_low(self.lags) if self.lags else 0
+
+    @property
+    def patience(self) -> int:
+        """Silence (ns) after which nobody waits for its vote."""
+        step = self.step
+        if step is None:
+            return LONGEST_PATIENCE
+        return min(max(round(_PERIODS * step), SHORTEST_PATIENCE), LONGEST_PATIENCE)
 
 
 class JumpFilter:
-    """Tells a jump of the clock from a stray stamp, by each sensor's own newest stamp.
-
-    A sensor whose messages are late as a whole never goes back behind itself, so it is no jump.
-    A stamp far ahead of all sensors is passed on, but until others prove it, it is nobody's newest:
-    the measurements after it would seem to go back.
-    """
+    """Decides by the state of each sensor what stamps that do not go on as before are."""
 
     def __init__(self, settings: TimeJumpSettings) -> None:
         self._threshold = round(settings.threshold * NANOSECONDS)
         self._policy = settings.policy
-        self._newest: dict[str, int] = {}
-        self._ahead: list[Measurement] = []
-        self._suspects: list[_Suspect] = []
-        self._in_order = 0
-        self._before: dict[str, int] = {}  # newest stamps of the run before the jump
+        self._sensors: dict[str, _Sensor] = {}
+        self._order = 0
         self._clock_jumped = False
         self.jumps = 0
         self.drops: Drops = Counter()
+        self.steps: Mapping[str, tuple[int, tuple[str, ...]]] = {}
+        """Sensors whose clock stepped alone: by how many ns, and who did not take part."""
 
     def restart(self) -> None:
         """Forget all stamps; the counts stay."""
-        self._newest, self._before, self._suspects, self._ahead = {}, {}, [], []
+        self._sensors, self.steps = {}, {}
 
     def clock_jumped(self) -> None:
         """The clock itself went back: one measurement suffices as witness."""
@@ -62,94 +118,190 @@ class JumpFilter:
 
     def check(self, measurement: Measurement) -> Passed:
         """What to map now that ``measurement`` came."""
-        stamp, sensor = measurement.stamp, measurement.sensor
-        before = self._before.get(sensor)
-        if before is not None:
-            ahead = stamp - max(self._newest.values(), default=stamp)
-            if stamp >= before and ahead > self._threshold:
-                self.drops[sensor, 'before_jump'] += 1
-                return Passed(())
-            del self._before[sensor]
-        newest = self._newest.get(sensor)
-        if newest is None or stamp >= newest - self._threshold:
-            self._keep_newest(measurement)
-            return self._in_time(measurement)
-        if self._is_with_others(measurement):  # then its newest stamp was a stray one
-            self._newest[sensor] = stamp
-            return self._in_time(measurement)
-        if self._policy is TimeJumpPolicy.IGNORE:
-            self.drops[sensor, 'time_jump'] += 1
-            return Passed(())
-        return self._suspect(measurement)
+        self._order += 1
+        name, stamp = measurement.sensor, measurement.stamp
+        others = self._newest_of_others(name)
+        sensor = self._sensors.get(name)
+        if sensor is None:
+            sensor = self._sensors[name] = _Sensor(stamp, self._order)
+            if others is None or stamp <= others + self._threshold:
+                return self._go_on(sensor, measurement, others)
+            # Nobody knows what is usual for it: where it goes back to is as good.
+            sensor.newest = others
+        if self._clock_jumped and stamp < sensor.newest - self._threshold:
+            return self._jump({name: sensor}, [_Held(measurement, self._order)])
+        if self._agrees(sensor, stamp, others):
+            return self._go_on(sensor, measurement, others)
+        return self._hold(sensor, measurement)
 
-    def _in_time(self, measurement: Measurement) -> Passed:
-        self._in_order += 1
-        self._clear(measurement.sensor)
-        return Passed((measurement,))
+    def settle(self) -> tuple[Measurement, ...]:
+        """Decide on all that is held, as nothing more may come; returns what to map."""
+        passed: list[_Held] = []
+        for name, sensor in self._sensors.items():
+            ahead = bool(sensor.held) and sensor.held[0].stamp > sensor.newest
+            with_it = [s for s in self._sensors.values() if s.held]
+            total = sum(len(item.held) for item in with_it)
+            refuted = any(
+                other.heard > sensor.held[0].order
+                for other in self._sensors.values()
+                if sensor.held and other is not sensor and not other.away
+            )
+            if ahead and total > 1 and not refuted:
+                passed += sensor.held
+                sensor.newest = sensor.held[-1].stamp
+                sensor.away, sensor.alone = 0, False
+            else:
+                self._drop(name, sensor, len(sensor.held))
+            sensor.held = []
+        return tuple(item.measurement for item in sorted(passed, key=lambda item: item.order))
 
-    def _keep_newest(self, measurement: Measurement) -> None:
-        """Move the sensor's newest stamp on, but not far beyond all sensors by a single one."""
-        top = max(self._newest.values(), default=measurement.stamp)
-        ahead = [measurement]
-        if measurement.stamp - top > self._threshold:
-            if self._ahead and abs(measurement.stamp - self._ahead[-1].stamp) > AGREEMENT:
-                self._ahead = []
-            self._ahead.append(measurement)
-            if len(self._ahead) < WITNESSES:
-                return
-            ahead = self._ahead
-        for item in ahead:
-            self._newest[item.sensor] = max(item.stamp, self._newest.get(item.sensor, item.stamp))
-        self._ahead = []
-
-    def _is_with_others(self, measurement: Measurement) -> bool:
-        """Whether another sensor has been where a measurement goes back to, just now."""
-        return any(
-            abs(at - measurement.stamp) <= self._threshold
-            for name, at in self._newest.items()
-            if name != measurement.sensor
+    def _newest_of_others(self, name: str) -> int | None:
+        """Newest stamp (ns) that all but one sensor have reached; None where there is no other."""
+        return max(
+            (s.newest for other, s in self._sensors.items() if other != name and s.went_on),
+            default=None,
         )
 
-    def _suspect(self, measurement: Measurement) -> Passed:
-        # Behind a jump each sensor's own stamps go on in order.
-        if any(
-            item.measurement.stamp > measurement.stamp + self._threshold
-            for item in self._suspects
-            if item.measurement.sensor == measurement.sensor
-        ):
-            self._clear(measurement.sensor)
-        self._suspects.append(_Suspect(measurement, self._in_order))
-        agreeing = [
-            item
-            for item in self._suspects
-            if abs(item.measurement.stamp - measurement.stamp) <= AGREEMENT
+    def _agrees(self, sensor: _Sensor, stamp: int, others: int | None) -> bool:
+        """Whether a stamp goes on from its sensor's own, or stands to the others' as usual."""
+        slack = self._slack()
+        if others is None:
+            # Who is alone and new has nothing that it could be held against.
+            return -self._threshold <= stamp - sensor.newest <= slack or sensor.went_on < 3
+        if not sensor.away and -self._threshold <= stamp - sensor.newest <= slack:
+            return True
+        if abs(others - stamp - sensor.lag) <= slack:
+            return True
+        # One stamp alone, or two, do not tell what is usual.
+        return sensor.went_on < 3 and abs(others - stamp) <= self._threshold
+
+    def _slack(self) -> int:
+        """Nanoseconds by which stamps may go on at once, or differ from what is usual."""
+        steps = [step for item in self._sensors.values() if (step := item.step) is not None]
+        return max(self._threshold, 3 * min(steps, default=0))
+
+    def _go_on(self, sensor: _Sensor, measurement: Measurement, others: int | None) -> Passed:
+        stamp = measurement.stamp
+        self._drop(measurement.sensor, sensor, len(sensor.held))
+        sensor.held = []
+        if sensor.went_on == 0 or stamp > sensor.newest or sensor.away:
+            # One whose stamps stand still has no say.
+            if sensor.went_on and not sensor.away:
+                sensor.steps.append(stamp - sensor.newest)
+            sensor.newest, sensor.heard = stamp, self._order
+            sensor.went_on += 1
+            if others is not None:
+                sensor.lags.append(others - stamp)
+        sensor.away, sensor.alone, sensor.away_since = 0, False, {}
+        return Passed((measurement,))
+
+    def _hold(self, sensor: _Sensor, measurement: Measurement) -> Passed:
+        name, stamp = measurement.sensor, measurement.stamp
+        if sensor.away == 0:
+            sensor.away_since = {other: item.went_on for other, item in self._sensors.items()}
+        sensor.away += 1
+        if stamp < sensor.newest and self._policy is TimeJumpPolicy.IGNORE:
+            self.drops[name, 'time_jump'] += 1
+            self._tell_of_step(name, sensor, stamp)
+            return Passed(())
+        held = sensor.held
+        if held and not -self._threshold <= stamp - held[-1].stamp <= OWN_AGREEMENT:
+            self._drop(name, sensor, len(held))
+            held.clear()
+        held.append(_Held(measurement, self._order))
+        while len(held) > WITNESSES and stamp - held[0].stamp > HOLD:
+            self._drop(name, sensor, 1)
+            del held[0]
+        group = self._shared(name, sensor)
+        if group is None:
+            self._tell_of_step(name, sensor, stamp)
+            return Passed(())
+        witnesses = [item for member in group.values() for item in member.held]
+        return self._jump(group, sorted(witnesses, key=lambda item: item.order))
+
+    def _shared(self, name: str, sensor: _Sensor) -> dict[str, _Sensor] | None:
+        """The sensors that share a jump, None where one of those alive does not, or not yet."""
+        group = {name: sensor}
+        last, forwards = sensor.held[-1].stamp, sensor.held[-1].stamp > sensor.newest
+        top = max((item.newest for item in self._sensors.values()), default=last)
+        for other, item in self._sensors.items():
+            if item is sensor:
+                continue
+            if item.held and abs(item.held[-1].stamp - last) <= AGREEMENT:
+                if (item.held[-1].stamp > item.newest) is forwards:
+                    group[other] = item
+                continue
+            if item.away or top - item.newest - max(item.lag, 0) > item.patience:
+                continue  # elsewhere, or silent since long before
+            after = next((it.stamp for it in sensor.held if it.order > item.heard), last)
+            if last - after <= item.patience:
+                return None
+        enough = sum(len(item.held) for item in group.values()) >= WITNESSES
+        return group if enough and len(sensor.held) > 1 else None
+
+    def _tell_of_step(self, name: str, sensor: _Sensor, stamp: int) -> None:
+        """Keep that a clock stepped, where it goes on like that and others as before."""
+        if sensor.away < WITNESSES or sensor.alone:
+            return
+        live = [
+            other
+            for other, before in sensor.away_since.items()
+            if other != name and self._sensors[other].went_on >= before + ALONE
         ]
-        meanwhile = self._in_order - agreeing[0].in_order
-        proven = len(agreeing) >= WITNESSES and len(agreeing) >= MAJORITY * meanwhile
-        if proven or self._clock_jumped:
-            return self._jump([item.measurement for item in agreeing])
-        while len(self._suspects) > MAJORITY * WITNESSES:
-            self._drop(self._suspects.pop(0))
-        return Passed(())
+        # Messages of the time before are on their way for a moment.
+        if not live or (sensor.held and stamp - sensor.held[0].stamp < NANOSECONDS):
+            return
+        sensor.alone = True
+        newest = max(self._sensors[other].newest for other in live)
+        size = stamp + sensor.lag - newest
+        self.steps = {**self.steps, name: (size, tuple(live))}
 
-    def _clear(self, sensor: str) -> None:
-        for suspect in [item for item in self._suspects if item.measurement.sensor == sensor]:
-            self._suspects.remove(suspect)
-            self._drop(suspect)
+    def _drop(self, name: str, sensor: _Sensor, count: int) -> None:
+        """Count held messages that are left out."""
+        if count:
+            ahead = sensor.held[0].stamp > sensor.newest
+            stray = 'stamp_leap' if ahead else 'stray_stamp'
+            self.drops[name, 'clock_step' if sensor.alone else stray] += count
 
-    def _drop(self, suspect: _Suspect) -> None:
-        self.drops[suspect.measurement.sensor, 'stray_stamp'] += 1
-
-    def _jump(self, witnesses: list[Measurement]) -> Passed:
-        for suspect in self._suspects:
-            if not any(suspect.measurement is witness for witness in witnesses):
-                self._drop(suspect)
-        self._suspects, self._ahead = [], []
-        self._clock_jumped = False
-        self.jumps += 1
-        fresh: dict[str, int] = {}
+    def _jump(self, group: dict[str, _Sensor], witnesses: list[_Held]) -> Passed:
+        """All sensors that are alive went somewhere: what was before is no measure any more."""
+        backwards = witnesses[0].stamp < group[witnesses[0].measurement.sensor].newest
+        for name, sensor in self._sensors.items():
+            if name not in group:
+                self._drop(name, sensor, len(sensor.held))
+        # Who is silent now is new when it comes back.
+        self._sensors = group
         for item in witnesses:
-            fresh[item.sensor] = max(item.stamp, fresh.get(item.sensor, item.stamp))
-        self._before = {name: at for name, at in self._newest.items() if name not in fresh}
-        self._newest = fresh
-        return Passed(tuple(witnesses), jumped=True)
+            sensor = group[item.measurement.sensor]
+            sensor.newest, sensor.heard = item.stamp, item.order
+            sensor.held, sensor.away, sensor.alone = [], 0, False
+        self._clock_jumped = False
+        self.steps = {name: step for name, step in self.steps.items() if name not in group}
+        self.jumps += backwards
+        return Passed(tuple(item.measurement for item in witnesses), jumped=backwards)
+
+
+def step_findings(
+    steps: Mapping[str, tuple[int, tuple[str, ...]]], offsets: Mapping[str, float]
+) -> tuple[Finding, ...]:
+    """Say which sensors' clocks stepped alone.
+
+    Args:
+        steps: As ``JumpFilter.steps``.
+        offsets: The sensors' ``time_offset`` so far, seconds.
+    """
+    found = []
+    for sensor, (size, live) in steps.items():
+        seconds = offsets.get(sensor, 0.0) - size / NANOSECONDS
+        found.append(
+            Finding(
+                'clock_step',
+                Severity.WARNING,
+                sensor,
+                f'its clock stepped by {size / NANOSECONDS:+.2f} s against {listed(live)}; it is '
+                'left out until their stamps agree again as before',
+                f'set its clock right, or {setting_name(sensor)}: {seconds:.2f} for the next start',
+                setting_tree(sensor, seconds),
+            )
+        )
+    return tuple(found)

@@ -18,7 +18,7 @@ from incremental_mapper.ros.inbox import Command, Deadline, Inbox, Order, Renewa
 from incremental_mapper.ros.map_session import FAILED, MapSession
 from incremental_mapper.ros.saves import Saves
 from incremental_mapper.ros.saving import Snapshot
-from incremental_mapper.ros.time_jumps import JumpFilter
+from incremental_mapper.ros.time_jumps import JumpFilter, step_findings
 from incremental_mapper.ros.updates import Reply, Restarted, Trouble, Update, WindowUpdate
 from incremental_mapper.settings import make_config, merge, to_tree
 
@@ -94,6 +94,14 @@ class Worker:
     def drops(self) -> Drops:
         """What was lost between the callbacks and the mapper, by sensor and reason."""
         return self.outside_drops() + self.inbox.drops() + self.jumps.drops + self._lost
+
+    @property
+    def clock_steps(self) -> tuple[Finding, ...]:
+        """Sensors whose clock stepped while the others' did not."""
+        config = self.config
+        sensors = {**config.lidars, 'imu': config.imu, 'gnss': config.gnss}
+        offsets = {name: sensor.time_offset for name, sensor in sensors.items()}
+        return step_findings(self.jumps.steps, offsets)
 
     @property
     def has_map(self) -> bool:
@@ -264,6 +272,8 @@ class Worker:
 
     def _drain(self) -> int:
         """Close all windows; returns how many."""
+        for item in self.jumps.settle():
+            self._map(item)
         for gatherer in self._sectors.values():
             sweep = gatherer.finish()
             if sweep is not None:

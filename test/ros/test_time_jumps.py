@@ -1,137 +1,270 @@
-"""Stamps that go back: jumps of the clock, and what is none."""
+"""Stamps that jump: of all sensors, of one, stray ones, and hostile orders of them."""
 
 import numpy as np
 import pytest
 
 from incremental_mapper.config import Config, TimeJumpPolicy, TimeJumpSettings
-from incremental_mapper.measurements import ImuSample, LidarScan
-from incremental_mapper.ros.time_jumps import JumpFilter
+from incremental_mapper.measurements import FixStatus, GnssFix, ImuSample, LidarScan
+from incremental_mapper.ros.time_jumps import JumpFilter, step_findings
 
 SECOND = 1_000_000_000
+HOUR = 3600 * SECOND
+START = 100 * SECOND
+POINT = np.ones((1, 3), dtype=np.float32)
+RATES = {'left': 10, 'right': 10, 'imu': 100, 'gnss': 1}
+LAGS = {'left': 0.12, 'right': 0.12, 'imu': 0.0, 'gnss': 0.05}
+YEAR = 365 * 24 * HOUR
 
 
-def scan(stamp, sensor='left'):
-    return LidarScan(stamp, sensor, np.ones((3, 3), dtype=np.float32))
+def made(sensor, stamp):
+    if sensor == 'imu':
+        return ImuSample(stamp, sensor, np.zeros(3), np.zeros(3))
+    if sensor == 'gnss':
+        return GnssFix(stamp, sensor, 36.0, 127.0, 50.0, FixStatus.GBAS)
+    return LidarScan(stamp, sensor, POINT)
 
 
-def imu(stamp):
-    return ImuSample(stamp, 'imu', np.zeros(3), np.zeros(3))
+def drive(seconds, start=START, sensors=tuple(RATES), change=lambda sensor, at: 0, lags=LAGS):
+    """Measurements in the order of arrival; ``change`` moves stamps (ns) by sensor and second."""
+    events = []
+    for number, sensor in enumerate(sensors):
+        for i in range(round(seconds * RATES[sensor])):
+            at = (i + 0.11 + 0.2 * number) / RATES[sensor]
+            stamp = start + round(at * SECOND) + round(change(sensor, at))
+            events.append((at + lags[sensor], made(sensor, stamp)))
+    return [item for _, item in sorted(events, key=lambda event: event[0])]
 
 
 def feed(jumps, measurements):
-    return [jumps.check(item) for item in measurements]
+    """All that passes, and whether a new map begins before it; what is left decides itself."""
+    passed, begun = [], []
+    for item in measurements:
+        step = jumps.check(item)
+        if step.jumped:
+            begun.append(len(passed))
+        passed += step.measurements
+    return [*passed, *jumps.settle()], begun
 
 
-def test_stray_stamps_are_no_jump():
+def balanced(jumps, sent, passed):
+    return len(passed) + sum(jumps.drops.values()) == len(sent)
+
+
+@pytest.mark.parametrize('policy', list(TimeJumpPolicy))
+@pytest.mark.parametrize('ahead', [1.5, 10.0, 3600.0, 3.2e7, -1.5, -10.0, -3600.0, -3.2e7])
+@pytest.mark.parametrize('sensor', ['left', 'imu', 'gnss'])
+@pytest.mark.parametrize('place', [0, 3, 300, 700])
+def test_one_stray_stamp_costs_one_measurement(policy, ahead, sensor, place):
+    sound = drive(8)
+    own = next(i for i, item in enumerate(sound) if item.sensor == sensor and i >= place)
+    if sensor == 'gnss' and ahead == -1.5:
+        ahead = -2.5  # half a second behind the fix before it is in time
+    stray = made(sensor, sound[own].stamp + round(ahead * SECOND))
+    sent = [*sound[:own], stray, *sound[own + 1 :]]
+    jumps = JumpFilter(TimeJumpSettings(policy=policy))
+    passed, begun = feed(jumps, sent)
+    assert not begun and not jumps.steps
+    assert balanced(jumps, sent, passed)
+    if place > 3:
+        assert passed == [item for item in sent if item is not stray]
+    else:
+        assert len(passed) >= len(sent) - 2
+
+
+@pytest.mark.parametrize('policy', list(TimeJumpPolicy))
+@pytest.mark.parametrize('size', [-3.0, -10.0, -3600.0, 2.0, 10.0, 3600.0, 3.2e7])
+@pytest.mark.parametrize('sensor', list(RATES))
+def test_one_sensor_whose_clock_steps_is_left_out_and_told_and_used_when_it_comes_back(
+    policy, size, sensor
+):
+    def change(name, at):
+        return size * SECOND if name == sensor and 10 <= at < 30 else 0
+
+    sent = drive(40, change=change)
+    jumps = JumpFilter(TimeJumpSettings(policy=policy))
+    passed, begun = feed(jumps, sent)
+    assert not begun and jumps.jumps == 0
+    others = [item for item in sent if item.sensor != sensor]
+    assert [item for item in passed if item.sensor != sensor] == others
+    own = [item.stamp for item in passed if item.sensor == sensor]
+    sound = {item.stamp for item in drive(40) if item.sensor == sensor}
+    outside = [s for s in sound if not 10 <= (s - START) / SECOND < 30]
+    assert own == sorted(outside)
+    assert balanced(jumps, sent, passed)
+    ((told, (stepped, live)),) = jumps.steps.items()
+    assert told == sensor and set(live) <= set(RATES) - {sensor} and live
+    assert stepped / SECOND == pytest.approx(size, abs=0.3)
+    (finding,) = step_findings(jumps.steps, {sensor: 0.5})
+    key = sensor if sensor in ('imu', 'gnss') else f'lidars.{sensor}'
+    assert finding.rule == 'clock_step' and f'{key}.time_offset: ' in finding.remedy
+    tree = finding.settings if sensor in ('imu', 'gnss') else finding.settings['lidars']
+    assert tree[sensor]['time_offset'] == pytest.approx(0.5 - size, abs=0.3)
+
+
+@pytest.mark.parametrize('back', [5.0, 90.0, 3600.0])
+@pytest.mark.parametrize('sensors', [tuple(RATES), ('left', 'gnss'), ('left',), ('left', 'imu')])
+def test_drive_that_begins_again_is_one_jump_and_nothing_of_it_is_lost(back, sensors):
+    for cut in range(0, 40 if 'imu' in sensors else 20, 3):
+        jumps = JumpFilter(TimeJumpSettings())
+        before = drive(8, sensors=sensors)
+        again = drive(8, START + round((8 - back) * SECOND), sensors)[cut:]
+        passed, begun = feed(jumps, [*before, *again])
+        assert jumps.jumps == 1 and begun == [len(before)]
+        assert passed == [*before, *again]
+        assert not jumps.drops
+
+
+def test_what_is_on_its_way_when_all_jump_is_left_out_and_blocks_nobody():
     jumps = JumpFilter(TimeJumpSettings())
-    good = [imu(100 * SECOND + i * 10_000_000) for i in range(30)]
-    stray = [imu(3 * SECOND + i) for i in range(6)]
-    mixed = [item for pair in zip(good, stray * 5, strict=True) for item in pair]
-    passed = [item for step in feed(jumps, mixed) for item in step.measurements]
-    assert passed == good and jumps.jumps == 0
-    assert jumps.drops == {('imu', 'stray_stamp'): 29}
-
-
-def test_sensor_that_is_late_as_a_whole_is_no_jump():
-    jumps = JumpFilter(TimeJumpSettings())
-    late = [scan(50 * SECOND + i * SECOND // 10) for i in range(20)]
-    on_time = [imu(100 * SECOND + i * SECOND // 10) for i in range(20)]
-    steps = feed(jumps, [item for pair in zip(on_time, late, strict=True) for item in pair])
-    assert jumps.jumps == 0 and all(len(step.measurements) == 1 for step in steps)
-
-
-def test_jump_passes_its_witnesses_on_and_leaves_the_rest_of_the_old_run_out():
-    jumps = JumpFilter(TimeJumpSettings())
-    feed(jumps, [imu(100 * SECOND + i) for i in range(5)])
-    feed(jumps, [scan(100 * SECOND), scan(100 * SECOND, 'right')])
-    again = [scan(SECOND), *(imu(SECOND + i) for i in range(4))]
-    steps = feed(jumps, again)
-    assert [step.jumped for step in steps] == [False] * 4 + [True]
-    assert list(steps[-1].measurements) == again
-    assert feed(jumps, [scan(100 * SECOND + 7, 'right')])[0].measurements == ()
-    assert jumps.drops == {('right', 'before_jump'): 1}
-    fresh = scan(SECOND + 9, 'right')
-    assert feed(jumps, [fresh])[0].measurements == (fresh,)
+    before = drive(5)
+    on_the_way = [made('left', START + 5 * SECOND), made('right', START + 5 * SECOND + 7)]
+    again = drive(5, START - 50 * SECOND)
+    sent = [*before, *again[:4], on_the_way[0], *again[4:8], on_the_way[1], *again[8:]]
+    passed, begun = feed(jumps, sent)
+    assert len(begun) == 1 and len(before) <= begun[0] <= len(before) + 2
+    assert [item for item in passed if all(item is not old for old in on_the_way)] == [
+        *before,
+        *again,
+    ]
 
 
 def test_jump_of_the_clock_needs_one_witness_only():
     jumps = JumpFilter(TimeJumpSettings())
-    feed(jumps, [imu(100 * SECOND)])
+    feed(jumps, drive(2))
     jumps.clock_jumped()
-    assert jumps.check(imu(SECOND)).jumped
+    assert jumps.check(made('imu', SECOND)).jumped
 
 
-def test_ignored_jump_is_counted():
+def test_ignored_jump_is_counted_until_time_catches_up():
     jumps = JumpFilter(TimeJumpSettings(policy=TimeJumpPolicy.IGNORE))
-    feed(jumps, [imu(100 * SECOND)])
-    steps = feed(jumps, [imu(SECOND + i) for i in range(9)])
-    assert not any(step.measurements or step.jumped for step in steps)
-    assert jumps.drops == {('imu', 'time_jump'): 9}
+    before, again = drive(5), drive(12, START - 5 * SECOND)
+    passed, begun = feed(jumps, [*before, *again])
+    assert not begun
+    assert balanced(jumps, [*before, *again], passed)
+    back = [item for item in passed[len(before) :] if item.stamp > START + 6 * SECOND]
+    assert {item.sensor for item in back} == set(RATES)
+    assert len(back) > 0.98 * 112
+    assert {reason for _, reason in jumps.drops} == {'time_jump'}
 
 
 def test_jump_begins_a_new_map_unless_the_settings_say_otherwise():
     assert Config().time_jump.policy is TimeJumpPolicy.RESET
 
 
-def test_stamp_is_suspect_from_just_beyond_the_threshold():
-    settings = TimeJumpSettings(threshold=0.5)
-    newest = 100 * SECOND
-    for behind, passes in ((SECOND // 2, True), (SECOND // 2 + 1, False)):
-        jumps = JumpFilter(settings)
-        feed(jumps, [imu(newest)])
-        assert (len(jumps.check(imu(newest - behind)).measurements) == 1) == passes
-        # The newest stamp stays what it was, however late others come.
-        assert not jumps.check(imu(newest - SECOND // 2 - 1)).measurements
+@pytest.mark.parametrize('policy', list(TimeJumpPolicy))
+@pytest.mark.parametrize('size', [2.0, 20.0, 600.0, 3600.0, 3.2e7])
+@pytest.mark.parametrize('sensors', [tuple(RATES), ('left',), ('left', 'gnss')])
+def test_pause_or_clock_set_forward_for_all_loses_nothing(policy, size, sensors):
+    before = drive(8, sensors=sensors)
+    after = drive(8, START + round((8 + size) * SECOND), sensors)
+    jumps = JumpFilter(TimeJumpSettings(policy=policy))
+    passed, begun = feed(jumps, [*before, *after])
+    assert passed == [*before, *after] and not begun
+    assert not jumps.drops and not jumps.steps
 
 
-def steady(seconds, start=100 * SECOND):
-    """Samples at 100 Hz, scans of two LiDARs at 10 Hz."""
-    made = [imu(start + i * SECOND // 100) for i in range(100 * seconds)]
-    for sensor, phase in (('left', 3), ('right', 55)):
-        step = SECOND // 10
-        made += [scan(start + phase * 10**6 + i * step, sensor) for i in range(10 * seconds)]
-    return sorted(made, key=lambda item: item.stamp)
-
-
-@pytest.mark.parametrize('ahead', [0.5, 3.0, 60.0, 1e8])
-@pytest.mark.parametrize('place', [0, 1, 50, 200])
-def test_one_stamp_ahead_costs_no_map_and_blocks_nobody(ahead, place):
-    drive = steady(5)
-    stray = scan(drive[place].stamp + round(ahead * SECOND), 'left')
+def test_pause_after_which_a_sensor_stays_away_loses_nothing():
+    before, after = drive(8), drive(8, START + 28 * SECOND, ('left', 'imu'))
     jumps = JumpFilter(TimeJumpSettings())
-    steps = feed(jumps, [*drive[:place], stray, *drive[place:]])
-    assert jumps.jumps == 0
-    passed = [item for step in steps for item in step.measurements]
-    assert len([item for item in passed if item is not stray]) >= len(drive) - 2
+    passed, _ = feed(jumps, [*before, *after])
+    assert passed == [*before, *after]
 
 
-def test_hostile_stamps_that_go_back_anywhere_are_no_jump():
+def test_leap_of_one_sensor_is_believed_once_no_other_is_alive():
+    before, after = drive(8), drive(8, START + HOUR, ('left',))
+    passed, _ = feed(JumpFilter(TimeJumpSettings()), [*before, *after])
+    assert passed == [*before, *after]
+
+
+def test_two_sensors_that_jump_together_while_others_do_not_are_left_out():
+    def change(name, at):
+        return -50 * SECOND if name in ('left', 'right') and at > 10 else 0
+
+    sent = drive(20, change=change)
+    jumps = JumpFilter(TimeJumpSettings())
+    passed, begun = feed(jumps, sent)
+    assert not begun and set(jumps.steps) == {'left', 'right'}
+    assert {item.sensor for item in passed if item.stamp > START + 11 * SECOND} == {'imu', 'gnss'}
+    assert balanced(jumps, sent, passed)
+
+
+def test_sensor_whose_stamps_stand_still_has_no_say():
+    def change(name, at):
+        return -(at - 5) * SECOND if name == 'right' and at > 5 else 0
+
+    before = drive(12, change=change)
+    again = drive(8, START - 50 * SECOND, ('left', 'imu', 'gnss'))
+    frozen = next(item for item in reversed(before) if item.sensor == 'right')
+    sent = [*before]
+    for index, item in enumerate(again):
+        sent.append(item)
+        if index % 10 == 0:
+            sent.append(made('right', frozen.stamp))
+    jumps = JumpFilter(TimeJumpSettings())
+    passed, begun = feed(jumps, sent)
+    assert len(begun) == 1
+    kept = [item for item in passed if item.sensor != 'right']
+    assert kept == [item for item in [*before, *again] if item.sensor != 'right']
+
+
+def test_half_seconds_back_now_and_then_are_no_jump():
+    def change(name, at):
+        return -0.5 * SECOND * (at // 10) if name == 'left' else 0
+
+    sent = drive(60, change=change)
+    jumps = JumpFilter(TimeJumpSettings())
+    passed, begun = feed(jumps, sent)
+    assert passed == sent and not begun
+
+
+def test_sensor_that_is_three_seconds_late_as_a_whole_is_no_jump():
+    sent = drive(20, lags=LAGS | {'left': 3.0})
+    jumps = JumpFilter(TimeJumpSettings())
+    passed, begun = feed(jumps, sent)
+    assert passed == sent and not begun and not jumps.steps
+
+
+def test_backlog_that_comes_and_goes_is_no_step():
+    sent = []
+    for at, item in enumerate(drive(30)):
+        sent.append((at, item))
+    stalled = [
+        (at + (2500 if 1200 < at < 1500 and item.sensor == 'left' else 0), i, item)
+        for i, (at, item) in enumerate(sent)
+    ]
+    order = [item for _, _, item in sorted(stalled, key=lambda entry: entry[:2])]
+    passed, begun = feed(JumpFilter(TimeJumpSettings()), order)
+    assert not begun
+    assert [i for i in passed if i.sensor != 'left'] == [i for i in order if i.sensor != 'left']
+
+
+def test_hostile_stamps_that_go_anywhere_are_no_jump():
     rng = np.random.default_rng(4)
     jumps = JumpFilter(TimeJumpSettings())
-    sent = []
-    for item in steady(5, start=10**9 * SECOND):
+    sound, sent = drive(8, start=10**9 * SECOND), []
+    for item in sound:
         sent.append(item)
         for _ in range(2):  # more than the drive's own
-            back = int(10 ** rng.uniform(0.5, 8.0) * SECOND)
-            sent.append(scan(item.stamp - back, str(rng.choice(['left', 'gnss']))))
-    feed(jumps, sent)
-    assert jumps.jumps == 0
+            by = int(10 ** rng.uniform(0.5, 8.0) * SECOND)
+            sent.append(made(str(rng.choice(['left', 'gnss'])), item.stamp - by))
+    passed, begun = feed(jumps, sent)
+    assert not begun
+    assert balanced(jumps, sent, passed)
+    assert [i for i in passed if i.sensor == 'imu'] == [i for i in sound if i.sensor == 'imu']
+    kept = {id(item) for item in passed}
+    lost = [item for item in sound if id(item) not in kept]
+    assert len(lost) < 5
 
 
-def test_drive_that_begins_again_is_a_jump_whoever_comes_first():
-    for start in range(40):
-        jumps = JumpFilter(TimeJumpSettings())
-        feed(jumps, steady(5))
-        again = steady(2, start=90 * SECOND)[start:]
-        steps = feed(jumps, again)
-        assert jumps.jumps == 1
-        assert [item for step in steps for item in step.measurements] == again
+def test_stamp_is_suspect_from_just_beyond_the_threshold():
+    settings = TimeJumpSettings(threshold=0.5)
+    for behind, passes in ((SECOND // 2, True), (SECOND // 2 + 1, False)):
+        jumps = JumpFilter(settings)
+        feed(jumps, [made('imu', START + i) for i in range(5)])
+        assert (len(jumps.check(made('imu', START + 4 - behind)).measurements) == 1) == passes
 
 
-def test_pause_of_the_recording_is_passed_and_going_back_behind_it_is_a_jump():
-    jumps = JumpFilter(TimeJumpSettings())
-    feed(jumps, steady(2))
-    late = steady(2, start=200 * SECOND)
-    assert [item for step in feed(jumps, late) for item in step.measurements] == late
-    feed(jumps, steady(1, start=100 * SECOND))
-    assert jumps.jumps == 1
+def test_keyframes_many_seconds_apart_are_all_used():
+    frames = [made('left', START + 15 * i * SECOND) for i in range(20)]
+    passed, _ = feed(JumpFilter(TimeJumpSettings()), frames)
+    assert passed == frames
