@@ -118,7 +118,10 @@ DROP_REASONS = {
     'time_jump': DropReason(
         'stamps went back, and time_jump.policy is ignore', 'reset begins a new map instead'
     ),
-    'before_jump': DropReason('it came before stamps went back', 'none needed for a looped bag'),
+    'clock_step': DropReason(
+        "its sensor's clock was set while the others' went on",
+        'the finding clock_step has the value and the line',
+    ),
     'stray_stamp': DropReason('a single stamp that went back', 'check the clock if there are many'),
     'queue_full': DropReason(
         'measurements come faster than they are mapped', 'lower selection.max_candidates'
