@@ -5,6 +5,7 @@ import importlib.util
 import re
 import sys
 import types
+from functools import cache
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -37,6 +38,7 @@ HAS_LAUNCH = importlib.util.find_spec('launch_ros') is not None
 """Not so among the wheels of PyPI."""
 
 
+@cache
 def imported():
     """Top names of what the package imports and neither is nor comes with Python."""
     found = set()

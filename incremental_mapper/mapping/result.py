@@ -72,11 +72,17 @@ class MapResult:
     def placed_scans(
         self, unreadable: list[str] | None = None
     ) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float64]]]:
-        """Points (N, 3) in base_link and T_map_base (4, 4) of every scan.
+        """Go through the scans.
 
         Args:
             unreadable: Takes why scans cannot be read back; they are left out. Where it is None,
-                the first one raises OutputError.
+                the first one raises.
+
+        Yields:
+            Points (N, 3) in base_link and T_map_base (4, 4) of every scan, metres.
+
+        Raises:
+            OutputError: A scan cannot be read back.
         """
         for scan in self.scans:
             try:
