@@ -41,6 +41,9 @@ DROP_REASONS = {
         'no point of the cloud is finite and off the origin', 'is the LiDAR covered or warming up?'
     ),
     'empty_cloud': DropReason('a cloud without points', 'is the LiDAR covered or warming up?'),
+    'too_few_points': DropReason(
+        'a cloud with points at hardly any places', 'is the LiDAR covered, or its driver broken?'
+    ),
     'no_points_in_range': DropReason(
         'no point between odometry.min_range and odometry.max_range',
         'widen them, or see whether something covers the LiDAR',
