@@ -1,7 +1,7 @@
 """One sensor's topic: received as reliably as its publishers allow, and what was lost of it."""
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, TypeAlias
@@ -306,6 +306,27 @@ class Reception:
         with event:
             told = event.take_event()
         return 0 if told is None else int(told.total_count_change)
+
+
+def stray_overrides(names: Iterable[str], topics: Collection[str]) -> list[str]:
+    """Overrides of subscriptions that nothing goes by.
+
+    Args:
+        names: parameters below ``qos_overrides``, without that.
+        topics: full names of the inputs.
+
+    Returns:
+        Those that name another topic or another policy, sorted.
+    """
+    policies = {*(kind.name.lower() for kind in OVERRIDABLE), 'reliability'}
+    # rclpy itself subscribes to these.
+    known = {'/clock', '/tf', '/tf_static'}
+    found = []
+    for name in names:
+        topic, mark, policy = name.partition('.subscription.')
+        if mark and topic not in known and not (topic in topics and policy in policies):
+            found.append(f'qos_overrides.{name}')
+    return sorted(found)
 
 
 def due_reliabilities(offered: Sequence[ReliabilityPolicy]) -> frozenset[ReliabilityPolicy]:

@@ -21,7 +21,7 @@ from incremental_mapper.datasets.sensor_settings import offset_nanoseconds
 from incremental_mapper.errors import MeasurementError
 from incremental_mapper.measurements import NANOSECONDS, Drops, Measurement
 from incremental_mapper.ros.clock_log import ClockLog
-from incremental_mapper.ros.reception import Arrived, Losses, Reception
+from incremental_mapper.ros.reception import Arrived, Losses, Reception, stray_overrides
 
 IMU, GNSS = 'imu', 'gnss'
 
@@ -83,6 +83,12 @@ class Inputs:
             self._subscribe(name, lidar, f'points_{name}', CLOUDS)
         self._subscribe(IMU, config.imu, 'imu', SAMPLES)
         self._subscribe(GNSS, config.gnss, 'fix', FIXES)
+        overrides = node.get_parameters_by_prefix('qos_overrides')
+        for stray in stray_overrides(overrides, set(self.topics.values())):
+            self._logger.warning(
+                f'nothing goes by {stray}: inputs are {", ".join(self.topics.values())}, with '
+                'history, depth, reliability and durability'
+            )
         self.restart(config)
 
     def drops(self) -> Drops:

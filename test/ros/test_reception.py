@@ -18,7 +18,13 @@ from ros_helpers import next_domain
 from sensor_msgs.msg import NavSatFix
 
 from incremental_mapper.errors import ConfigError
-from incremental_mapper.ros.reception import BEST_EFFORT, RELIABLE, Reception, due_reliabilities
+from incremental_mapper.ros.reception import (
+    BEST_EFFORT,
+    RELIABLE,
+    Reception,
+    due_reliabilities,
+    stray_overrides,
+)
 
 DEPTH = 50
 OVERRIDES = 'qos_overrides./fix.subscription.'
@@ -126,6 +132,21 @@ def found_by(listening, publisher):
 )
 def test_reliable_where_all_publishers_offer_it(offered, due):
     assert due_reliabilities(offered) == due
+
+
+def test_overrides_that_nothing_goes_by_are_told():
+    names = [
+        '/fix.subscription.depth',
+        '/fix.subscription.reliability',
+        '/tf.subscription.depth',
+        '/map.publisher.depth',
+        '/fax.subscription.depth',
+        '/fix.subscription.deadline',
+    ]
+    assert stray_overrides(names, {'/fix'}) == [
+        'qos_overrides./fax.subscription.depth',
+        'qos_overrides./fix.subscription.deadline',
+    ]
 
 
 def test_changes_of_the_publishers_lose_nothing_and_double_nothing(listen):
