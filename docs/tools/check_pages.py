@@ -35,7 +35,7 @@ from incremental_mapper.selection.strategies import GROUP, strategy_names
 from incremental_mapper.settings import make_config, read_yaml
 
 SERVICES = ('flush', 'save_map', 'reset', 'pause')
-OTHERS = ('cd', 'colcon', 'dask', 'export', 'git', 'ls', 'source')
+OTHERS = ('cd', 'colcon', 'dask', 'export', 'git', 'ls', 'source', 'touch')
 """Programs whose arguments are not ours to check."""
 GENERATED = (
     'api/',
@@ -236,7 +236,7 @@ def check_script(arguments: Sequence[str]) -> list[str]:
         return []
     if arguments[0] == '-m':
         module = arguments[1]
-        return [] if find_spec(module) else [f'no module {module!r}']
+        return [] if module in OTHERS or find_spec(module) else [f'no module {module!r}']
     if arguments[0] == '-c':
         return []
     path = ROOT / arguments[0]
