@@ -111,19 +111,21 @@ class Outputs:
         """Publish what belongs to one window."""
         result, newest = update.result, update.newest
         stamp = result.end if newest is None else newest.stamp
+        frame = self._frames.map
+        # What others steer by goes first.
+        if newest is not None and update.odometry is not None:
+            self._odometry.publish(odometry_message(newest, frame, self._frames.base))
+            in_frame = in_odom(newest, update.odometry)
+            self._odom.publish(odometry_message(in_frame, self._frames.odom, self._frames.base))
+            if self.transforms is not None:
+                self.transforms.send(stamp, newest.pose, update.odometry.pose)
         name = f'{self._node_name}: graph'
         self._stats.publish(stats_message(stamp, result.row, update.stats, name))
         self._datum.take(update.stats, stamp)
         if newest is None or update.odometry is None:
             return
         self._windows += 1
-        frame = self._frames.map
-        self._odometry.publish(odometry_message(newest, frame, self._frames.base))
         self._poses.publish(pose_array(stamp, result.poses, frame))
-        in_frame = in_odom(newest, update.odometry)
-        self._odom.publish(odometry_message(in_frame, self._frames.odom, self._frames.base))
-        if self.transforms is not None:
-            self.transforms.send(stamp, newest.pose, update.odometry.pose)
         if self._increment.get_subscription_count() > 0:
             self._increment.publish(cloud_message(stamp, update.points, frame))
 

@@ -1,0 +1,313 @@
+"""Latency, stamps that jump, and holes: a drive is published live, its messages changed."""
+
+import json
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from node_runs import PATIENCE, START, Drive, NodeRun, make_drive, node_run
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import Imu, NavSatFix, PointCloud2
+
+from incremental_mapper.datasets.bag_files import open_bag
+from incremental_mapper.datasets.open import open_source
+from incremental_mapper.errors import InputError
+from incremental_mapper.measurements import NANOSECONDS
+from incremental_mapper.results.graph_json import compare_graphs, graph_tree
+from incremental_mapper.results.offline_run import effective_config, map_source
+from incremental_mapper.results.run_folder import FinishedRun
+from incremental_mapper.results.trajectory_errors import trajectory_errors
+from incremental_mapper.settings import merge, read_yaml
+from incremental_mapper.trajectory import Trajectory
+from robot_rows import Seen, row
+
+CONFIG = Path(__file__).parents[2] / 'config' / 'kaist.yaml'
+SECONDS = 40.0
+KINDS = {'imu': Imu, 'gnss': NavSatFix}
+RELIABLE = QoSProfile(depth=500, reliability=ReliabilityPolicy.RELIABLE)
+HOUR = 3600.0
+_KEPT: list[TemporaryDirectory[str]] = []
+
+
+@dataclass(frozen=True, slots=True)
+class Sent:
+    """A message: when it is published (s since the start), whose, its stamp (ns), its bytes."""
+
+    at: float
+    sensor: str
+    stamp: int
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Live:
+    """What came of a drive: errors, parts of the last diagnostics, latencies (ms), the folder."""
+
+    ate: float
+    parts: dict[str, dict[str, Any]]
+    latencies: list[float]
+    lost: int
+    folder: Path
+
+
+@cache
+def drive() -> Drive:
+    """The simulated drive that all rows share."""
+    _KEPT.append(TemporaryDirectory(prefix='robot_clocks_'))
+    return make_drive(Path(_KEPT[-1].name), SECONDS, CONFIG)
+
+
+@cache
+def messages() -> tuple[Sent, ...]:
+    """Its messages in the order of recording."""
+    source = open_source(drive().bag, read_yaml(CONFIG))
+    sensors = {f'/points_{name}': name for name in ('left', 'right')}
+    sensors |= {'/imu': 'imu', '/fix': 'gnss'}
+    reader = open_bag(drive().bag)
+    first, found = None, []
+    wanted = [item for item in reader.connections if item.topic in sensors]
+    for connection, logged, data in reader.messages(wanted):
+        first = logged if first is None else first
+        seconds, nanoseconds = np.frombuffer(data[4:12], dtype='<i4')
+        stamp = int(seconds) * NANOSECONDS + int(nanoseconds)
+        at = (logged - first) / NANOSECONDS
+        found.append(Sent(at, sensors[connection.topic], stamp, bytes(data)))
+    reader.close()
+    assert source.info.counts
+    return tuple(found)
+
+
+def truth() -> Trajectory:
+    """Where the car was."""
+    found = open_source(drive().bag, read_yaml(CONFIG)).truth()
+    if found is None:
+        raise InputError('the simulated bag has no truth')
+    return found
+
+
+def restamped(item: Sent, seconds: float) -> Sent:
+    """The message with another stamp."""
+    stamp = item.stamp + round(seconds * NANOSECONDS)
+    header = np.array(divmod(stamp, NANOSECONDS), dtype='<i4').tobytes()
+    return replace(item, stamp=stamp, data=item.data[:4] + header + item.data[12:])
+
+
+def live(
+    folder: Path,
+    sent: Sequence[Sent],
+    parameters: dict[str, object] | None = None,
+    moved: Callable[[Trajectory], Trajectory] = lambda trajectory: trajectory,
+) -> Live:
+    """Publish messages to a node in real time, and save its map.
+
+    Args:
+        folder: Scratch.
+        sent: In the order in which they are published.
+        parameters: More of the node's.
+        moved: The truth for the stamps that were published.
+    """
+    given = {'save.folder': str(folder / 'saved'), **(parameters or {})}
+    with node_run(drive(), folder / 'node.log', given) as run:
+        times = publish(run, sent)
+        run.catch_up()
+        seen = len(run.client.odometry)
+        run.client.call('flush', PATIENCE)
+        ok, told = run.client.call('save_map', PATIENCE)
+        parts = run.parts()
+        if not (folder / 'saved').exists():
+            raise InputError(f'nothing was saved: {ok}, {told}')
+        lost = len(sent) - sum(parts[name]['received'] for name in ('left', 'right', 'imu', 'gnss'))
+        latencies = latencies_of(run, seen, times)
+    saved = FinishedRun(folder / 'saved')
+    errors = trajectory_errors(saved.trajectory, moved(truth()))
+    return Live(
+        float('nan') if errors is None else errors.ate_rmse_m,
+        parts,
+        latencies,
+        lost,
+        folder / 'saved',
+    )
+
+
+def publish(run: NodeRun, sent: Sequence[Sent]) -> dict[tuple[str, int], int]:
+    """Publish when it is time; returns when (ns of the system's clock), by sensor and stamp."""
+    node = run.client._node
+    topics = {
+        sensor: node.create_publisher(KINDS.get(sensor, PointCloud2), topic, RELIABLE)
+        for sensor, topic in run.topics.items()
+    }
+    run.client.wait(
+        lambda: all(item.get_subscription_count() > 0 for item in topics.values()),
+        'the subscriptions of the node',
+        START,
+    )
+    time.sleep(1.0)  # the other side of a match may take a little longer
+    times: dict[tuple[str, int], int] = {}
+    start = time.monotonic()
+    for item in sent:
+        time.sleep(max(start + item.at - time.monotonic(), 0.0))
+        times[item.sensor, item.stamp] = time.time_ns()
+        topics[item.sensor].publish(item.data)
+    return times
+
+
+def latencies_of(run: NodeRun, seen: int, times: dict[tuple[str, int], int]) -> list[float]:
+    """Milliseconds from when a window's last message was published to its odometry."""
+    bounds = {
+        stats['stamp_ns']: (stats['window.start_ns'], stats['window.end_ns'])
+        for stats in run.client.stats
+        if stats['window.clusters']
+    }
+    ordered = sorted((stamp, at) for (_, stamp), at in times.items())
+    stamps = [stamp for stamp, _ in ordered]
+    found = []
+    for heard in run.client.odometry[:seen]:
+        stamp = heard.message.header.stamp
+        window = bounds.get(stamp.sec * NANOSECONDS + stamp.nanosec)
+        if window is None:
+            continue
+        inside = slice(*np.searchsorted(stamps, window))
+        last = max((at for _, at in ordered[inside]), default=heard.received)
+        found.append((heard.received - last) / 1e6)
+    return found
+
+
+@cache
+def undisturbed() -> float:
+    """Metres of ATE that the drive has as it is, live."""
+    with TemporaryDirectory(prefix='robot_clocks_') as folder:
+        return live(Path(folder), messages()).ate
+
+
+def dropped(seen: Live) -> str:
+    """What the node left out, by sensor and reason."""
+    told = [
+        f'{count} {name} {reason}'
+        for name in ('left', 'right', 'imu', 'gnss')
+        for reason, count in seen.parts[name]['dropped'].items()
+        if count
+    ]
+    return ', '.join(told) or 'nothing'
+
+
+def within(ate: float) -> bool:
+    """Whether an ATE is within a tenth of that of the drive as it is, live."""
+    return ate <= 1.1 * undisturbed()
+
+
+@row('0.53 s')
+def latency(folder: Path) -> Seen:
+    """Latency to ~/odometry from the window's last message, KAIST rates, a fix a second."""
+    seen = live(folder, messages())
+    p50, p99 = np.percentile(seen.latencies, [50, 99])
+    start, rest = seen.latencies[:20], seen.latencies[20:]
+    steady = float(np.percentile(rest, 99))
+    source = open_source(drive().bag, read_all())
+    result = map_source(source, effective_config(source, read_all(), 'settings')).result
+    graph = json.loads(json.dumps(graph_tree(result.clusters, result.factors, result.values)))
+    same = compare_graphs(FinishedRun(seen.folder).graph, graph).differences
+    late = seen.parts['worker']['late_but_used']
+    return Seen(
+        f'{len(seen.latencies)} windows: p50 {p50:.0f} ms, p99 {p99:.0f} ms; p99 {steady:.0f} ms '
+        f'without the first {len(start)}, in which the pace of the sensors is learnt; '
+        f'{seen.lost} lost, left out: {dropped(seen)}, {late} late but used; '
+        f'graph of map: {same if same else "the same"}',
+        bool(p50 <= 80 and steady <= 150 and seen.lost == 0 and not same),
+    )
+
+
+def read_all() -> dict[str, Any]:
+    """The settings of the drive."""
+    tree: dict[str, Any] = {}
+    for path in drive().settings:
+        tree = merge(tree, read_yaml(path))
+    return tree
+
+
+def with_stray(sensor: str, ahead: float) -> Iterable[Sent]:
+    """The drive with one stamp of a sensor in its middle that is so many seconds ahead."""
+    done = False
+    for item in messages():
+        if not done and item.sensor == sensor and item.at > SECONDS / 2:
+            done = True
+            yield restamped(item, ahead)
+        else:
+            yield item
+
+
+@row('the whole map is discarded as a time jump', long=True)
+def stray_stamps(folder: Path) -> Seen:
+    """One IMU or LiDAR stamp 1.5 s, 10 s, 1 h or a year ahead."""
+    told, ok = [f'ATE as it is {undisturbed():.4f} m'], True
+    for sensor in ('imu', 'left'):
+        for ahead in (1.5, 10.0, HOUR, 365 * 24 * HOUR):
+            place = folder / f'{sensor}_{ahead:g}'
+            place.mkdir()
+            seen = live(place, list(with_stray(sensor, ahead)))
+            jumps = seen.parts['worker']['time_jumps']
+            told.append(f'{sensor} {ahead:g} s: {seen.ate:.4f} m, left out {dropped(seen)}')
+            ok = ok and within(seen.ate) and jumps == 0
+    return Seen('; '.join(told), ok)
+
+
+@row('map reset, and all other sensors are dropped as before_jump for the rest of the run')
+def one_sensor_steps_back(folder: Path) -> Seen:
+    """One LiDAR's clock steps back by 12 s for 10 s of the drive."""
+    sent = [
+        restamped(item, -12.0) if item.sensor == 'right' and 15 <= item.at < 25 else item
+        for item in messages()
+    ]
+    seen = live(folder, sent)
+    jumps = seen.parts['worker']['time_jumps']
+    finding = seen.parts['checks'].get('clock_step right', 'not named')
+    ok = jumps == 0 and within(seen.ate) and 'lidars.right.time_offset: 1' in finding
+    return Seen(
+        f'{jumps} resets, ATE {seen.ate:.4f} m ({undisturbed():.4f} m as it is), left out: '
+        f'{dropped(seen)}; {finding}',
+        ok,
+    )
+
+
+def with_hole(hole: float) -> list[Sent]:
+    """The middle third of the drive is missing, and what comes then is ``hole`` seconds later."""
+    begin, end = SECONDS / 3, 2 * SECONDS / 3
+    kept = []
+    for item in messages():
+        if item.at < begin:
+            kept.append(item)
+        elif item.at >= end:
+            later = restamped(item, hole - (end - begin))
+            kept.append(replace(later, at=item.at - (end - begin) + 1.0))
+    return kept
+
+
+@row('the earlier map bends by 3.8 m, 14.9 m, 500 m', long=True)
+def holes(folder: Path) -> Seen:
+    """A hole of 20 s, 60 s, 600 s in all data, fixes every second after it (stamps only)."""
+    told, ok = [], True
+    begin, end = SECONDS / 3, 2 * SECONDS / 3
+    for hole in (20.0, 60.0, 600.0):
+        place = folder / f'{hole:g}'
+        place.mkdir()
+        first = min(item.stamp - round(item.at * NANOSECONDS) for item in messages()[:50])
+        later = round((hole - (end - begin)) * NANOSECONDS)
+        border = first + round((begin + end) / 2 * NANOSECONDS)
+
+        def moved(trajectory: Trajectory, border: int = border, later: int = later) -> Trajectory:
+            stamps = np.where(trajectory.stamps > border, trajectory.stamps + later, 0)
+            stamps = np.where(stamps == 0, trajectory.stamps, stamps)
+            return replace(trajectory, stamps=stamps)
+
+        seen = live(place, with_hole(hole), moved=moved)
+        parts = seen.parts['map']
+        told.append(
+            f'{hole:g} s: ATE {seen.ate:.3f} m, {parts["components"]} component, '
+            f'{seen.parts["worker"]["time_jumps"]} resets, left out {dropped(seen)}'
+        )
+        ok = ok and seen.ate <= 0.1 and parts['components'] == 1
+    return Seen('; '.join(told), ok)
