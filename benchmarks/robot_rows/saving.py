@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 from long_drive import RepeatedDrive
-from node_runs import PATIENCE, SEED, START, Drive, make_drive
+from node_runs import PATIENCE, SEED, Drive, make_drive
 
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.datasets.simulated.folder import simulate
@@ -57,7 +57,7 @@ class Trial:
 
     def play(self, *options: object) -> None:
         """Play the drive, and wait until it is mapped."""
-        command = player_command(self.drive.bag, '--wait', START, *options)
+        command = player_command(self.drive.bag, '--wait', PATIENCE, *options)
         subprocess.run(
             command,
             env=self.environment,
@@ -105,7 +105,7 @@ def trial(folder: Path, **parameters: object) -> Iterator[Trial]:
         open_client(domain) as client,
     ):
         client.wait(
-            lambda: bool(client.diagnostics), 'the node', START, lambda: node.poll() is None
+            lambda: bool(client.diagnostics), 'the node', PATIENCE, lambda: node.poll() is None
         )
         yield Trial(node, client, drive, dict(environment), log)
 
