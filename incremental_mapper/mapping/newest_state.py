@@ -12,6 +12,11 @@ from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.smoothing.graph_state import GraphState
 from incremental_mapper.variables import bias_key, pose_key, velocity_key
 
+ANGULAR_ACCELERATION = 1.0
+"""rad/s^2 by which the rate may have changed since the nearest sample; a car that turns in."""
+UNKNOWN_SPACING = 0.005
+"""Seconds between two samples where there is only one; the closer they are, the noisier each is."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NewestState:
@@ -99,13 +104,17 @@ def _rate(
     if len(near.stamps) == 0:
         return None, None
     gap = round(imu.max_gap * NANOSECONDS)
-    if abs(int(near.stamps[0]) - frontier.newest_stamp) > gap:
+    apart = abs(int(near.stamps[0]) - frontier.newest_stamp)
+    if apart > gap:
         return None, None
     R_base_imu = config.imu.matrix()[:3, :3]
     spacing = (
-        float(np.median(np.diff(series.stamps))) / NANOSECONDS if len(series.stamps) > 1 else 1.0
+        float(np.median(np.diff(series.stamps))) / NANOSECONDS
+        if len(series.stamps) > 1
+        else UNKNOWN_SPACING
     )
     noise = np.eye(3) * imu.gyroscope_noise**2 / max(spacing, 1e-4)
+    noise += np.eye(3) * (ANGULAR_ACCELERATION * apart / NANOSECONDS) ** 2
     key = None if frontier.inertial is None else bias_key(frontier.inertial)
     if key is not None and key in state.prior.keys:
         known = state.prior.covariance(key)

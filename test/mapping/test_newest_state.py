@@ -51,6 +51,15 @@ def test_velocity_covariance_is_what_samples_of_attitude_and_velocity_have():
     assert np.abs(found.velocity_covariance - expected).max() < 0.03 * expected.max()
 
 
+def test_a_single_sample_is_no_more_certain_than_one_of_many():
+    single = SERIES.nearest(0)
+    alone, among = (
+        newest_state(known_state(), series, settings()).rate_covariance
+        for series in (single, imu_series(-20 * MS, 20 * MS, 10 * MS))
+    )
+    assert (np.diag(alone) >= np.diag(among)).all()
+
+
 @pytest.mark.parametrize('series', [EMPTY_SERIES, imu_series(-900 * MS, -500 * MS)])
 def test_without_a_sample_near_the_rate_is_unknown(series):
     found = newest_state(known_state(), series, settings())
