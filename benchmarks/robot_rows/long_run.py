@@ -43,7 +43,7 @@ def drive(folder: Path, seconds: float) -> Seen:
             [sys.executable, str(SENDER), '--seconds', str(seconds)], ours, subprocess.PIPE
         ) as sender,
     ):
-        waited, load = 0, 0.0
+        waited, load, before = 0, 0.0, cpu_seconds(node.pid)
         while sender.poll() is None:
             parts: dict[str, Any] = client.fresh_diagnostics(PATIENCE)
             worker = parts['worker']
@@ -55,21 +55,32 @@ def drive(folder: Path, seconds: float) -> Seen:
                 rows.append((drive_s / 60.0, resident(node.pid) / MB - known))
         said = (sender.stdout.read() if sender.stdout else '').strip()
         client.call('flush', PATIENCE)
+        used = (cpu_seconds(node.pid) - before) / seconds
         parts = client.fresh_diagnostics(PATIENCE)
         top, worker = parts['top'], parts['worker']
         poses = client.stats[-1]['clusters']
     late = np.array([item for item in rows if item[0] >= rows[-1][0] / 2.0])
-    growth = float(np.polyfit(late[:, 0], late[:, 1], 1)[0])
+    # A node that maps too slowly leaves nothing to fit a line to, which is no success.
+    growth = float(np.polyfit(late[:, 0], late[:, 1], 1)[0]) if len(late) >= 5 else np.nan
     lost = top['lost_in_transport'] + top['overwritten']
     sent = round(10.0 * seconds)
     now = (
         f'{said}; received {top["received"]}, {lost} counted as lost, dropped {top["dropped"]}; '
         f'at most {waited} waited, {worker["merged_windows"]} windows merged, real-time factor '
-        f'{worker["real_time_factor"]}; {poses} clusters; memory without scans, voxels and queue '
+        f'{worker["real_time_factor"]:.2f}, {used:.2f} s of processor a second; {poses} clusters; '
+        'memory without scans, voxels and queue '
         f'{growth:+.1f} MB a minute in the second half; load of the machine up to {load:.1f}'
     )
     good = top['received'] == sent and not lost and not top['dropped']
     return Seen(now, good and worker['merged_windows'] == 0 and growth < MOST_GROWTH)
+
+
+def cpu_seconds(pid: int) -> float:
+    """Seconds of processor that a program and its children have used; not those of the load."""
+    fields = Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()
+    children = Path(f'/proc/{pid}/task/{pid}/children').read_text().split()
+    own = (int(fields[11]) + int(fields[12])) / os.sysconf('SC_CLK_TCK')
+    return own + sum(cpu_seconds(int(child)) for child in children)
 
 
 @row('not tried', long=True)
