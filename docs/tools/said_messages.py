@@ -1,8 +1,9 @@
 """What the program says that users may look for: refusals, reasons and rules, found in the code."""
 
 import ast
+import functools
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -41,8 +42,8 @@ def check_messages(text: str, name: str) -> list[Mistake]:
 
 def refusals() -> Iterator[tuple[str, str]]:
     """Where the package refuses something, and the longest fixed piece of what it says."""
-    for path, tree in _sources():
-        for node in ast.walk(tree):
+    for path, nodes in _sources():
+        for node in nodes:
             if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call):
                 called = node.exc.func
                 if isinstance(called, ast.Name) and called.id in (
@@ -57,8 +58,8 @@ def refusals() -> Iterator[tuple[str, str]]:
 
 def drop_reasons() -> Iterator[tuple[str, str]]:
     """Where a measurement is left out, and the key that it is counted under."""
-    for path, tree in _sources():
-        for node in ast.walk(tree):
+    for path, nodes in _sources():
+        for node in nodes:
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
                 if node.func.id == 'MeasurementError' and node.args:
                     yield from _constants(f'{path}:{node.lineno}', node.args[0])
@@ -72,14 +73,14 @@ def drop_reasons() -> Iterator[tuple[str, str]]:
 
 def finding_rules() -> Iterator[tuple[str, str]]:
     """Where something is found wrong, and the rule word of the finding."""
-    for path, tree in _sources():
+    for path, nodes in _sources():
         # Functions that are given the word by their callers, in the same file.
         given = {
             node.name
-            for node in ast.walk(tree)
+            for node in nodes
             if isinstance(node, ast.FunctionDef) and [a.arg for a in node.args.args][:1] == ['rule']
         }
-        for node in ast.walk(tree):
+        for node in nodes:
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
                 if node.func.id in {'Finding', 'Remark', *given} and node.args:
                     yield from _rule_words(f'{path}:{node.lineno}', node.args[0])
@@ -101,9 +102,13 @@ def _rule_words(place: str, node: ast.expr) -> Iterator[tuple[str, str]]:
         yield from _constants(place, node)
 
 
-def _sources() -> Iterator[tuple[str, ast.Module]]:
-    for path in sorted((ROOT / PACKAGE).rglob('*.py')):
-        yield str(path.relative_to(ROOT)), ast.parse(path.read_text(encoding='utf-8'))
+@functools.cache
+def _sources() -> Sequence[tuple[str, Sequence[ast.AST]]]:
+    """Each file's nodes in the order of ``ast.walk``: three look for something in all of them."""
+    return [
+        (str(path.relative_to(ROOT)), list(ast.walk(ast.parse(path.read_text(encoding='utf-8')))))
+        for path in sorted((ROOT / PACKAGE).rglob('*.py'))
+    ]
 
 
 def _longest_text(call: ast.Call) -> str:

@@ -257,6 +257,20 @@ class Mapper:
         return self._watch.mended()
 
     @property
+    def drops(self) -> Drops:
+        """What was not used, by sensor and reason; any thread may ask."""
+        total: Drops = Counter()
+        for part in (
+            self._buffer.drops,
+            self._front_end.drops,
+            self._failed,
+            self._imu.drops,
+            self._scans.drops,
+        ):
+            total.update(dict(part))  # a copy in one step: they change meanwhile
+        return total
+
+    @property
     def statistics(self) -> MapStatistics:
         """The record of all windows so far; its cost does not grow with the drive."""
         return map_statistics(
@@ -264,11 +278,7 @@ class Mapper:
             self._state,
             self._base,
             self._totals,
-            drops=self._buffer.drops
-            + self._front_end.drops
-            + self._failed
-            + self._imu.drops
-            + self._scans.drops,
+            drops=self.drops,
             notes=self._front_end.notes,
             late=self._buffer.late,
             unused=[item.core for item in self._carried],

@@ -11,7 +11,6 @@ from std_msgs.msg import Header
 
 from incremental_mapper.mapping.load_shedding import NO_SHEDDING
 from incremental_mapper.mapping.statistics import STAGES
-from incremental_mapper.measurements import Drops
 from incremental_mapper.ros.drop_log import DropLog
 from incremental_mapper.ros.known_findings import KnownFindings
 from incremental_mapper.ros.result_messages import status
@@ -135,13 +134,9 @@ class Health:
 
     def _all_drops(self) -> dict[str, dict[str, int]]:
         """Everything that was not used, by sensor and reason, wherever it was lost."""
-        drops: dict[str, dict[str, int]] = {
-            sensor: dict(reasons) for sensor, reasons in self._stats().get('dropped', {}).items()
-        }
-        outside: Drops = self._worker.drops()
-        for (sensor, reason), count in outside.items():
-            reasons = drops.setdefault(sensor, {})
-            reasons[reason] = reasons.get(reason, 0) + count
+        drops: dict[str, dict[str, int]] = {}
+        for (sensor, reason), count in self._worker.all_drops().items():
+            drops.setdefault(sensor, {})[reason] = count
         return drops
 
     def _input(

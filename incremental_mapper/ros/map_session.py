@@ -92,6 +92,11 @@ class MapSession:
         return self._mapper.mended
 
     @property
+    def drops(self) -> Drops:
+        """What the mapper did not use; any thread may ask."""
+        return self._mapper.drops
+
+    @property
     def empty(self) -> bool:
         """Whether nothing was mapped."""
         return not self._mapper.state.clusters

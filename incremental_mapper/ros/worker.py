@@ -95,6 +95,11 @@ class Worker:
         """What was lost between the callbacks and the mapper, by sensor and reason."""
         return self.outside_drops() + self.inbox.drops() + self.jumps.drops + self._lost
 
+    def all_drops(self) -> Drops:
+        """The same with what the mapper itself did not use, of this map."""
+        session = self._session
+        return self.drops() if session is None else self.drops() + session.drops
+
     @property
     def clock_steps(self) -> tuple[Finding, ...]:
         """Sensors whose clock stepped while the others' did not."""
