@@ -117,7 +117,7 @@ def test_node_makes_of_a_played_bag_what_map_makes_of_it(start, bag, tmp_path):
 
     programs.wait(lambda: arrived() == counts, f'{counts} messages')
     assert client.call('flush')[0]
-    assert client.call('save_map') == (True, f'saved to {saved}')
+    assert client.call('save_map') == (True, f'saved to {saved}; pictures follow')
     offline = map_offline(bag, bag_parameters(bag))
     programs.wait(lambda: len(client.stats) == len(offline.result.rows), 'all windows')
     appended = [row for row in offline.result.rows if row['clusters']]
