@@ -202,9 +202,9 @@ class DatumSettings(Section):
     fixed: bool = False
     """The map is east-north-up around the place below; false takes the first fix that holds."""
     latitude: float = Field(default=0.0, ge=-90.0, le=90.0, allow_inf_nan=False)
-    """Degrees."""
+    """Latitude of the origin in degrees, north positive."""
     longitude: float = Field(default=0.0, ge=-180.0, le=180.0, allow_inf_nan=False)
-    """Degrees."""
+    """Longitude of the origin in degrees, east positive."""
     altitude: float = Field(default=0.0, ge=-12_000.0, le=100_000.0, allow_inf_nan=False)
     """Metres above the WGS-84 ellipsoid, or above whatever the fixes count from."""
 
@@ -376,7 +376,7 @@ class ImuOdometrySettings(Section):
     publish: bool = False
     """Publish it."""
     max_rate: float = Field(default=200.0, gt=0.0, le=2000.0)
-    """Most messages a second; a faster IMU is still integrated in full."""
+    """Most messages a second, Hz; a faster IMU is still integrated in full."""
     max_age: float = Field(default=1.0, gt=0.0, le=10.0)
     """Seconds after the last window's newest state for which it is carried on."""
 

@@ -296,7 +296,7 @@ def assert_same_graph(folder, run):
     graph = graph_tree(result.clusters, result.factors, result.values)
     # Tuples become lists as in the file.
     found = compare_graphs(FinishedRun(folder).graph, json.loads(json.dumps(graph)))
-    assert found.differences == ()
+    assert found.differences == (), found
 
 
 def bag_parameters(bag, *more: dict[str, Any]):

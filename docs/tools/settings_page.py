@@ -59,8 +59,10 @@ UNITS = (
     (r'm/s\b', 'm/s'),
     (r'standard deviations', 'σ'),
     (r'\bradians\b', 'rad'),
+    (r'\bdegrees\b', '°'),
     (r'\b[Ss]econds\b', 's'),
     (r'\b[Mm]etres\b', 'm'),
+    (r'\bHz\b', 'Hz'),
 )
 """Words of a description, the most special first, and the unit that they tell."""
 TUNING = Path(__file__).resolve().parents[1] / 'tuning.md'

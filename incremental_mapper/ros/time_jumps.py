@@ -113,7 +113,7 @@ class JumpFilter:
         self._sensors, self.steps = {}, {}
 
     def clock_jumped(self) -> None:
-        """The clock itself went back: one measurement suffices as witness."""
+        """The clock itself went back: one measurement of each sensor suffices as witness."""
         self._clock_jumped = True
 
     def check(self, measurement: Measurement) -> Passed:
@@ -128,8 +128,6 @@ class JumpFilter:
                 return self._go_on(sensor, measurement, others)
             # Nobody knows what is usual for it: where it goes back to is as good.
             sensor.newest = others
-        if self._clock_jumped and stamp < sensor.newest - self._threshold:
-            return self._jump({name: sensor}, [_Held(measurement, self._order)])
         if self._agrees(sensor, stamp, others):
             return self._go_on(sensor, measurement, others)
         return self._hold(sensor, measurement)
@@ -236,6 +234,9 @@ class JumpFilter:
             after = next((it.stamp for it in sensor.held if it.order > item.heard), last)
             if last - after <= item.patience:
                 return None
+        # What is on its way when the clock went back still belongs to the time before.
+        if self._clock_jumped and not forwards:
+            return group
         enough = sum(len(item.held) for item in group.values()) >= WITNESSES
         return group if enough and len(sensor.held) > 1 else None
 
