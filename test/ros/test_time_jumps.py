@@ -128,11 +128,20 @@ def test_what_is_on_its_way_when_all_jump_is_left_out_and_blocks_nobody():
     ]
 
 
-def test_jump_of_the_clock_needs_one_witness_only():
+def test_jump_of_the_clock_needs_one_witness_of_each_sensor_only():
     jumps = JumpFilter(TimeJumpSettings())
-    feed(jumps, drive(2))
+    before = drive(2)
+    feed(jumps, before)
     jumps.clock_jumped()
-    assert jumps.check(made('imu', SECOND)).jumped
+    behind = [made(name, SECOND) for name in RATES]
+    passed = [jumps.check(behind[0])]
+    # What was on its way is still of the time before.
+    on_its_way = made(behind[1].sensor, before[-1].stamp + SECOND // 10)
+    assert jumps.check(on_its_way).measurements == (on_its_way,)
+    passed += [jumps.check(item) for item in behind[1:]]
+    assert [item.jumped for item in passed] == [False] * (len(behind) - 1) + [True]
+    assert passed[-1].measurements == tuple(behind)
+    assert not jumps.drops
 
 
 def test_ignored_jump_is_counted_until_time_catches_up():
