@@ -91,6 +91,7 @@ def open_files():
 
 
 def test_disk_store_leaves_nothing_behind(tmp_path):
+    gc.collect()  # files of tests before
     store = DiskStore(tmp_path)
     kept = store.put(scattered(100, 20.0, 0))
     descriptors = open_files()
