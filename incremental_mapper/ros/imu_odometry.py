@@ -11,7 +11,7 @@ from incremental_mapper.config import Config
 from incremental_mapper.datasets.sensor_settings import with_settings
 from incremental_mapper.mapping.imu_prediction import ImuPrediction
 from incremental_mapper.measurements import ImuSample, Measurement
-from incremental_mapper.ros.publishers import QUIET, reliable
+from incremental_mapper.ros.publishers import QUIET, node_name, reliable
 from incremental_mapper.ros.result_messages import odometry_message, status
 from incremental_mapper.ros.updates import WindowUpdate
 
@@ -25,7 +25,7 @@ class ImuOdometry:
     def __init__(self, node: Node, config: Config) -> None:
         """Begin to publish; ``config`` are the settings of the first map."""
         self._config = config
-        self._name = f'{node.get_name()}: odometry_imu'
+        self._name = f'{node_name(node)}: odometry_imu'
         self._publisher = node.create_publisher(
             Odometry, '~/odometry_imu', reliable(DEPTH), event_callbacks=QUIET
         )
