@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 
 def pose_matrix(numbers: Sequence[float]) -> NDArray[np.float64]:
@@ -40,6 +41,28 @@ def pose_matrix(numbers: Sequence[float]) -> NDArray[np.float64]:
             f'{len(values)} numbers; expected 7 (x y z qx qy qz qw) or 12 (row-major 3x4)'
         )
     return matrix
+
+
+def matrix_numbers(transform: NDArray[np.float64]) -> list[float]:
+    """The numbers of a pose, as ``pose_matrix`` takes them.
+
+    Args:
+        transform: T_a_b (4, 4).
+
+    Returns:
+        x, y, z in metres and the quaternion qx, qy, qz, qw.
+    """
+    turn = Rotation.from_matrix(transform[:3, :3]).as_quat()
+    return [float(value) for value in (*transform[:3, 3], *turn)]
+
+
+def written_numbers(transform: NDArray[np.float64]) -> list[float]:
+    """The same, rounded as one would write them into settings: micrometres, no negative zero.
+
+    Args:
+        transform: T_a_b (4, 4).
+    """
+    return [round(value, 6) + 0.0 for value in matrix_numbers(transform)]
 
 
 def nearest_rotation(matrix: NDArray[np.float64], tolerance: float = 1e-2) -> NDArray[np.float64]:

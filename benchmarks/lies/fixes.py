@@ -22,6 +22,14 @@ def _fixes(drive: Recording, change: Callable[[int, Any], Any]) -> Recording:
     return drive.each(FIX, lambda message: change(next(count), message))
 
 
+def _degrees(drive: Recording, change: Callable[[float], float]) -> Recording:
+    """With the latitude and the longitude of every fix changed."""
+    return _fixes(
+        drive,
+        lambda _, m: replace(m, latitude=change(m.latitude), longitude=change(m.longitude)),
+    )
+
+
 def _north(message: Any, metres: float) -> Any:
     return replace(message, latitude=message.latitude + metres * METRE)
 
@@ -191,20 +199,13 @@ def west_as_east(drive: Recording, folder: Path) -> Path:
 @lie(MENDED, WARNED, REFUSED, about=GNSS, drive='turns')
 def in_radians(drive: Recording, folder: Path) -> Path:
     """Latitude and longitude in radians."""
-    return _fixes(
-        drive,
-        lambda _, m: replace(
-            m, latitude=float(np.radians(m.latitude)), longitude=float(np.radians(m.longitude))
-        ),
-    ).write(folder / 'bag')
+    return _degrees(drive, lambda degrees: float(np.radians(degrees))).write(folder / 'bag')
 
 
 @lie(WARNED, REFUSED, about=GNSS + '|range', drive='turns')
 def in_e7(drive: Recording, folder: Path) -> Path:
     """Degrees times ten million, as receivers send them."""
-    return _fixes(
-        drive, lambda _, m: replace(m, latitude=m.latitude * 1e7, longitude=m.longitude * 1e7)
-    ).write(folder / 'bag')
+    return _degrees(drive, lambda degrees: degrees * 1e7).write(folder / 'bag')
 
 
 @lie(MENDED, WARNED, about=GNSS, drive='turns')
@@ -226,21 +227,13 @@ def held_fixes(drive: Recording, folder: Path) -> Path:
 @lie(MENDED, WARNED, SOUND, about=GNSS, drive='fixes', factor=2.0)
 def single_precision(drive: Recording, folder: Path) -> Path:
     """Degrees rounded to single precision, in steps of half a metre."""
-    return _fixes(
-        drive,
-        lambda _, m: replace(
-            m, latitude=float(np.float32(m.latitude)), longitude=float(np.float32(m.longitude))
-        ),
-    ).write(folder / 'bag')
+    return _degrees(drive, lambda degrees: float(np.float32(degrees))).write(folder / 'bag')
 
 
 @lie(MENDED, WARNED, about=GNSS, drive='turns')
 def four_decimals(drive: Recording, folder: Path) -> Path:
     """Degrees rounded to four decimals, in steps of 10 m."""
-    return _fixes(
-        drive,
-        lambda _, m: replace(m, latitude=round(m.latitude, 4), longitude=round(m.longitude, 4)),
-    ).write(folder / 'bag')
+    return _degrees(drive, lambda degrees: round(degrees, 4)).write(folder / 'bag')
 
 
 @lie(MENDED, WARNED, about=GNSS, drive='fixes')

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import pymap3d
 from numpy.typing import NDArray
 
 from incremental_mapper.checks.finding import Finding, Severity
@@ -25,7 +26,6 @@ least (root mean square) where something is wrong. Simulated drives with bends a
 0.01 of the extent."""
 BETTER = 0.2
 """Share of that misfit that is left, at most, where the cause is found."""
-_EARTH = 6_371_000.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,10 +102,9 @@ def without_consequences(before: Sequence[Finding], now: Sequence[Finding]) -> l
 
 def _metres(degrees: NDArray[np.float64]) -> NDArray[np.float64]:
     """East and north (K, 2) of the first place."""
-    radians = np.radians(degrees)
-    north = radians[:, 0] - radians[0, 0]
-    east = (radians[:, 1] - radians[0, 1]) * np.cos(radians[0, 0])
-    return _EARTH * np.stack([east, north], axis=1)
+    latitude, longitude = degrees.T
+    east, north, _ = pymap3d.geodetic2enu(latitude, longitude, 0.0, *degrees[0], 0.0)
+    return np.stack([east, north], axis=1)
 
 
 def _misfit(enu: NDArray[np.float64], local: NDArray[np.float64]) -> float:

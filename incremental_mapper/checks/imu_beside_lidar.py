@@ -2,7 +2,6 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from incremental_mapper.checks.finding import Finding, Severity
 from incremental_mapper.checks.imu_motion import (
@@ -15,6 +14,7 @@ from incremental_mapper.checks.imu_motion import (
     smoothness,
 )
 from incremental_mapper.config import Imu
+from incremental_mapper.geometry import written_numbers
 from incremental_mapper.measurements import NANOSECONDS
 
 CERTAIN = 40.0
@@ -290,9 +290,9 @@ def _switched_off(rule: str, text: str, remedy: str = '') -> Finding:
 
 def turned_extrinsics(rotation: NDArray[np.float64], settings: Imu) -> list[float]:
     """``T_base_sensor`` as x, y, z, qx, qy, qz, qw with its axes turned by ``rotation`` (3, 3)."""
-    matrix = settings.matrix()
-    quaternion = Rotation.from_matrix(rotation @ matrix[:3, :3]).as_quat()
-    return [round(float(value), 6) + 0.0 for value in (*matrix[:3, 3], *quaternion)]
+    transform = settings.matrix().copy()
+    transform[:3, :3] = rotation @ transform[:3, :3]
+    return written_numbers(transform)
 
 
 def _angle(rotation: NDArray[np.float64]) -> float:

@@ -10,8 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from incremental_mapper.checks.finding import Finding, Severity
 from incremental_mapper.checks.ground import TILTED, Ground
-from incremental_mapper.checks.motions import SHORTEST, STRAIGHT
+from incremental_mapper.checks.motions import SHORTEST, STRAIGHT, angle
 from incremental_mapper.config import Tree
+from incremental_mapper.geometry import written_numbers
 
 LOWEST, HIGHEST = 0.5, 4.0
 """Metres from a LiDAR to the ground, on anything from a small robot's mast to a lorry's roof."""
@@ -57,10 +58,12 @@ def level_mount(
     forward = way - (way @ up) * up
     forward /= np.linalg.norm(forward)
     turn = np.stack([forward, np.cross(up, forward), up])
-    pose = _pose(turn)
+    mount = np.eye(4)
+    mount[:3, :3] = turn
+    pose = written_numbers(mount)
     settings: Tree = {'lidars': {ground.sensor: {'T_base_sensor': pose}}}
     line = f'lidars.{ground.sensor}.T_base_sensor: {pose}'
-    if imu_unplaced and gravity is not None and _angle(gravity, up) < ALIKE:
+    if imu_unplaced and gravity is not None and angle(gravity, up) < ALIKE:
         settings['imu'] = {'T_base_sensor': pose}
         line += ' and the same of the IMU, whose gravity points alike'
     return Finding(
@@ -73,14 +76,3 @@ def level_mount(
         f'turned as with {line} (the lever arm is not known, nor whether the car drove backwards)',
         settings,
     )
-
-
-def _pose(turn: NDArray[np.float64]) -> list[float]:
-    """A rotation (3, 3) as x, y, z, qx, qy, qz, qw."""
-    quaternion = Rotation.from_matrix(turn).as_quat()
-    return [0.0, 0.0, 0.0, *(round(float(value), 6) + 0.0 for value in quaternion)]
-
-
-def _angle(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
-    cosine = one @ other / max(float(np.linalg.norm(one) * np.linalg.norm(other)), 1e-12)
-    return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))

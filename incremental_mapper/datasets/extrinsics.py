@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 from rosbags.highlevel import AnyReader
-from scipy.spatial.transform import Rotation
 
 from incremental_mapper.checks.finding import Finding
 from incremental_mapper.checks.sensor_places import (
@@ -28,7 +27,7 @@ from incremental_mapper.datasets.static_transforms import (
     clean,
     read_static_transforms,
 )
-from incremental_mapper.geometry import pose_matrix
+from incremental_mapper.geometry import matrix_numbers, pose_matrix
 from incremental_mapper.measurements import Vector
 from incremental_mapper.settings import merge
 
@@ -115,7 +114,7 @@ def place_sensors(
         own_frame = place.frame in (BASE_FRAME, tree.base())
         if place.given is not None or place.static is None or own_frame:
             continue
-        pose = _numbers(place.static)
+        pose = matrix_numbers(place.static)
         own = {place.sensor: {'T_base_sensor': pose}}
         found = merge(found, {'lidars': own} if place.lidar else own)
         notes.append(
@@ -141,9 +140,3 @@ def _pose(tree: FrameTree, frame: str) -> Vector | None:
         return np.eye(4)
     base = tree.base()
     return None if base is None or not frame else tree.between(base, frame)
-
-
-def _numbers(pose: Vector) -> list[float]:
-    """A pose as x, y, z, qx, qy, qz, qw."""
-    turn = Rotation.from_matrix(pose[:3, :3]).as_quat()
-    return [float(number) for number in (*pose[:3, 3], *turn)]

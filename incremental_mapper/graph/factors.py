@@ -9,9 +9,9 @@ from typing import Any, TypeAlias
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from incremental_mapper.config import GraphSettings
+from incremental_mapper.geometry import matrix_numbers
 from incremental_mapper.variables import bias_key, pose_key, velocity_key
 
 
@@ -65,8 +65,7 @@ class Factor:
 
 def pose_numbers(pose: gtsam.Pose3) -> list[float]:
     """Position and quaternion x, y, z, qx, qy, qz, qw of a pose."""
-    turn = Rotation.from_matrix(pose.rotation().matrix()).as_quat()
-    return [float(value) for value in (*pose.translation(), *turn)]
+    return matrix_numbers(pose.matrix())
 
 
 def pose_sigmas(translation: float, rotation: float) -> NDArray[np.float64]:
