@@ -28,7 +28,7 @@ def summary(stats: Mapping[str, Any]) -> str:
                 f'{stats["rpe_translation_rmse_m"]:.4f} m, '
                 f'{stats["rpe_rotation_rmse_deg"]:.3f} deg between consecutive poses',
             ),
-            ('RPE per second', f'{stats["rpe_per_second_translation_rmse_m"]:.4f} m'),
+            ('RPE per second', _metres(stats['rpe_per_second_translation_rmse_m'])),
             ('ATE', f'{stats["ate_rmse_m"]:.4f} m'),
         ]
     rows += [
@@ -79,6 +79,10 @@ def summary(stats: Mapping[str, Any]) -> str:
         rows.append(('interrupted', 'the rest of the input was not read'))
     width = max(len(name) for name, _ in rows)
     return '\n'.join(f'{name:<{width}}  {text}' for name, text in rows)
+
+
+def _metres(value: float | None) -> str:
+    return 'none, no two poses are about a second apart' if value is None else f'{value:.4f} m'
 
 
 def _counts(counts: Mapping[str, int]) -> str:

@@ -24,3 +24,16 @@ def test_a_graph_that_hangs_on_bridges_is_not_just_connected(stats):
     assert row(summary(stats), 'components').endswith('1, the graph is connected')
     held = row(summary(stats | {'bridges': 106, 'clusters': 110}), 'components')
     assert '106 of 110 poses by a bridge' in held
+
+
+def test_a_trajectory_too_short_for_an_error_per_second_says_so(stats):
+    """A map that ends after a few windows, by Ctrl-C for one, ended in a traceback here."""
+    errors = {
+        'rpe_translation_rmse_m': 0.01,
+        'rpe_rotation_rmse_deg': 0.1,
+        'rpe_per_second_translation_rmse_m': None,
+        'ate_rmse_m': 0.02,
+    }
+    short = summary(stats | errors)
+    assert row(short, 'RPE per second').endswith('none, no two poses are about a second apart')
+    assert row(short, 'ATE').endswith('0.0200 m')
