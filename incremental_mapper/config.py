@@ -273,6 +273,10 @@ class SelectionSettings(Section):
     """Candidates of mom tie unless one is better at this confidence (paired over the query points);
     of those that tie the smallest graph wins whose factors and rotations agree as well. 0 takes the
     lowest score, however small its lead (paper); 0.95 is a good value."""
+    join_standing: bool = True
+    """While the vehicle stands, by IMU and scan matching together, measurements join the newest
+    cluster: they add no variable, and scans no points. false makes clusters of them all the same
+    (paper)."""
     direct: bool = False
     """Search the neighbourhoods again at every candidate's poses (slow, for verification)."""
     verify: bool = False

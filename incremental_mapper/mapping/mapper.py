@@ -1,8 +1,6 @@
 """Measurements in, G(t), poses, map and statistics out: the only place that keeps state."""
 
-import logging
 import time
-import traceback
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -12,26 +10,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 from incremental_mapper.blas import single_threaded_blas
+from incremental_mapper.candidates.spans import ImuStamps
 from incremental_mapper.checks.finding import Finding, ranked
 from incremental_mapper.checks.outcome import Outcome, outcome_findings
 from incremental_mapper.compiled import waiting
 from incremental_mapper.config import Config, Tree
 from incremental_mapper.errors import MapperError
 from incremental_mapper.frontend.front_end import FrontEnd, Preparation, Prepared
-from incremental_mapper.frontend.imu_preintegration import EMPTY_SERIES, preintegration_parameters
+from incremental_mapper.frontend.imu_preintegration import (
+    EMPTY_SERIES,
+    ImuSeries,
+    preintegration_parameters,
+)
 from incremental_mapper.frontend.lidar_odometry import PreparedScan
 from incremental_mapper.map.store import make_store
 from incremental_mapper.mapping.base_count import BaseCount
 from incremental_mapper.mapping.commit import NOTHING, Committed, commit
+from incremental_mapper.mapping.failed_windows import FailedWindows
 from incremental_mapper.mapping.georeferencing import georeference, without_fixes
 from incremental_mapper.mapping.imu_gate import gate
 from incremental_mapper.mapping.imu_intake import ImuIntake
+from incremental_mapper.mapping.joining import join, joinable
 from incremental_mapper.mapping.judgement import judge_map
 from incremental_mapper.mapping.load_shedding import NO_SHEDDING, LoadShedding
 from incremental_mapper.mapping.newest_state import NewestState, newest_state
-from incremental_mapper.mapping.result import MapResult, WindowResult
+from incremental_mapper.mapping.result import MapResult, WindowResult, trajectory_of
 from incremental_mapper.mapping.same_stamp import prefer_usable
 from incremental_mapper.mapping.scan_intake import ScanIntake
+from incremental_mapper.mapping.standstill import Standstill
 from incremental_mapper.mapping.statistics import MapStatistics, Totals, map_statistics, window_row
 from incremental_mapper.mapping.watch import Watch
 from incremental_mapper.mapping.window_buffer import Window, WindowBuffer, joined
@@ -50,16 +56,9 @@ from incremental_mapper.selection.window_record import WindowRecord, record_wind
 from incremental_mapper.smoothing import linear_system
 from incremental_mapper.smoothing.batch import make_graph, optimize
 from incremental_mapper.smoothing.graph_state import GraphState
-from incremental_mapper.trajectory import from_matrices
-from incremental_mapper.variables import pose_key
 
-LOGGER = logging.getLogger('incremental_mapper')
 IMU = 'imu'
 """Name of the IMU among the sensors."""
-MOST_RECORDS = 3
-"""Failed windows whose inputs are kept for a report; the first ones are nearest to the cause."""
-LARGEST_RECORD = 16_000_000
-"""Bytes; a window of two VLP-16 takes about 0.2 MB."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +119,8 @@ class Mapper:
         self._base = BaseCount(round(config.preintegration.max_gap * NANOSECONDS))
         self._totals = Totals()
         self._failed: Drops = Counter()
-        self._records: list[WindowRecord] = []
+        self._standstill = Standstill()
+        self._failures = FailedWindows()
         self._rows: list[dict[str, Any]] = []
         self._watch = Watch(config)
 
@@ -208,13 +208,11 @@ class Mapper:
             else:
                 values = solution.values
         clusters = tuple(self._state.clusters)
-        poses = [values.atPose3(pose_key(placed.id)).matrix() for placed in clusters]
-        stamps = np.array([placed.cluster.stamp for placed in clusters], dtype=np.int64)
         return MapResult(
             clusters=clusters,
             factors=tuple(self._state.factors),
             values=values,
-            trajectory=from_matrices(stamps, np.array(poses).reshape(-1, 4, 4)),
+            trajectory=trajectory_of(clusters, values),
             scans=tuple(self._state.scans),
             fixes=self._fixes(),
             rows=tuple(self._rows),
@@ -224,7 +222,7 @@ class Mapper:
                 lambda: outcome_findings(self._outcome()),
                 lambda: self._state.store.findings,
             ),
-            failed=tuple(self._records),
+            failed=tuple(self._failures.records),
         )
 
     def newest(self) -> NewestState | None:
@@ -264,6 +262,7 @@ class Mapper:
             self._buffer.drops,
             self._front_end.drops,
             self._failed,
+            self._failures.drops,
             self._imu.drops,
             self._scans.drops,
         ):
@@ -291,7 +290,7 @@ class Mapper:
 
     def _outcome(self) -> Outcome:
         notes = self._front_end.notes
-        return self._watch.fit.outcome(self._state, self._totals, notes, self._records)
+        return self._watch.fit.outcome(self._state, self._totals, notes, self._failures.records)
 
     def _fixes(self) -> NDArray[np.float64]:
         offset = self._state.enu_offset
@@ -335,10 +334,54 @@ class Mapper:
             self._failed[IMU, 'contradicted'] += gated.refused
         self._watch.prepared(prepared)
         self._watch.fixes(self._front_end.gate)
+        stands = self._stands(prepared, self._series.within(window.start, window.end))
         spent = time.perf_counter() - started + sum(part.seconds for part in begun)
         seconds = {'front_end': spent}
         frame = _Frame(window.start, window.end, len(window.imu), seconds)
+        if stands and (result := self._join(prepared, frame)) is not None:
+            return result
+        if stands:
+            self._standstill.start_anew()
         return self._window(prepared, frame)
+
+    def _stands(self, prepared: Sequence[Prepared], samples: ImuSeries) -> bool:
+        """Whether the vehicle stands, and what it measured may join the newest cluster."""
+        if not self.config.selection.join_standing:
+            return False
+        state = self._state
+        speed = float(np.linalg.norm(state.last_velocity))
+        stands = self._standstill.look(prepared, samples, state.last_bias, speed)
+        state.creep(self._standstill.crept)
+        return stands and not self._carried and joinable(state)
+
+    @single_threaded_blas()
+    def _join(self, prepared: Sequence[Prepared], frame: '_Frame') -> WindowResult | None:
+        """Let the measurements join the newest cluster; None where a fix contradicts."""
+        started = time.perf_counter()
+        try:
+            error = join(self._state, prepared, self.config)
+        except MapperError:
+            raise
+        except Exception:
+            return self._fail(frame, prepared)
+        if error is None:
+            return None
+        max_gap = round(self.config.preintegration.max_gap * NANOSECONDS)
+        self._base.add_window(prepared, ImuStamps(self._series.stamps, max_gap))
+        self._totals.standing_windows += 1
+        self._totals.joined += len(prepared)
+        self._grown()
+        frame.seconds['append'] = time.perf_counter() - started
+        return self._close(frame, prepared, None, Committed((), error), joined=len(prepared))
+
+    def _grown(self) -> None:
+        """After G(t) took a window in."""
+        self._totals.solver_failures += int(not self._state.prior.healthy)
+        self._georeference()
+        # Samples after the last cluster stamp belong to the next window.
+        frontier = self._state.frontier
+        self._series = self._series.since(min(frontier.head_stamp, frontier.newest_stamp))
+        self._watch.grown(self._state)
 
     def _keep_orientation(self, sample: ImuSample) -> None:
         if self._orientation is None and sample.orientation is not None:
@@ -392,12 +435,7 @@ class Mapper:
         self._carried = []
         started = time.perf_counter()
         committed = commit(self._state, self._totals.windows, choice, problem)
-        self._totals.solver_failures += int(not self._state.prior.healthy)
-        self._georeference()
-        # Samples after the last cluster stamp belong to the next window.
-        frontier = self._state.frontier
-        self._series = self._series.since(min(frontier.head_stamp, frontier.newest_stamp))
-        self._watch.grown(self._state)
+        self._grown()
         frame.seconds['append'] = time.perf_counter() - started
         return self._close(frame, items, choice, committed)
 
@@ -413,33 +451,12 @@ class Mapper:
 
     def _fail(self, frame: '_Frame', items: Sequence[Prepared]) -> WindowResult:
         """Leave out a window whose choice raised; G(t-1) is as it was."""
-        sensors = Counter(item.core.sensor for item in items)
-        told = ', '.join(f'{count} of {name}' for name, count in sorted(sensors.items()))
-        LOGGER.log(
-            logging.DEBUG if self._totals.failed_windows else logging.ERROR,
-            'window %d, %d ns to %d ns, failed and is left out with its measurements (%s); '
-            'further ones are only counted, as failed_windows',
-            self._totals.windows,
-            frame.start,
-            frame.end,
-            told,
-            exc_info=True,
-        )
-        self._record(items)
-        self._totals.failed_windows += 1
-        for name, count in sensors.items():
-            self._failed[name, 'window_failed'] += count
-        self._carried = []
-        return self._close(frame, items, None)
+        window = self._totals.windows
 
-    def _record(self, items: Sequence[Prepared]) -> None:
-        """Keep what a failed window's choice depended on, for a report."""
-        if len(self._records) >= MOST_RECORDS:
-            return
-        try:
-            record = record_window(
-                self._totals.windows,
-                traceback.format_exc(),
+        def record(raised: str) -> WindowRecord:
+            return record_window(
+                window,
+                raised,
                 items,
                 self._state,
                 self._series,
@@ -447,13 +464,11 @@ class Mapper:
                 self.config,
                 self._shedding.candidates,
             )
-        # What made the window fail may be in the way here too, and a report is worth less than
-        # the map.
-        except Exception:
-            LOGGER.debug('the inputs of the failed window cannot be kept', exc_info=True)
-            return
-        if len(record.data) <= LARGEST_RECORD:
-            self._records.append(record)
+
+        self._failures.add(window, (frame.start, frame.end), items, record)
+        self._totals.failed_windows = self._failures.count
+        self._carried = []
+        return self._close(frame, items, None)
 
     def _close(
         self,
@@ -461,6 +476,7 @@ class Mapper:
         items: Sequence[Prepared],
         choice: Choice | None,
         committed: Committed = NOTHING,
+        joined: int = 0,
     ) -> WindowResult:
         """Record a window's numbers."""
         totals, seconds = self._totals, frame.seconds
@@ -487,5 +503,6 @@ class Mapper:
             clusters=placed,
             poses=tuple(self._state.pose(item.id) for item in placed),
             row=row,
+            joined=joined,
             tried=() if choice is None else choice.tried,
         )

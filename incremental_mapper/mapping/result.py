@@ -1,6 +1,6 @@
 """What a window and a run give back."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +18,7 @@ from incremental_mapper.mapping.statistics import MapStatistics
 from incremental_mapper.selection.choice import Tried
 from incremental_mapper.selection.window_record import WindowRecord
 from incremental_mapper.smoothing.graph_state import PlacedCluster, PlacedScan
-from incremental_mapper.trajectory import Trajectory
+from incremental_mapper.trajectory import Trajectory, from_matrices
 from incremental_mapper.variables import pose_key
 
 
@@ -28,6 +28,7 @@ class WindowResult:
 
     ``row`` holds the columns of windows.csv. ``clusters`` are the new clusters and ``poses``
     their T_map_base right after the window. ``winner`` is None where nothing was appended;
+    ``joined`` counts the measurements that joined the newest cluster, since the vehicle stood;
     ``tried`` are all candidates that it was chosen from.
     """
 
@@ -38,6 +39,7 @@ class WindowResult:
     clusters: tuple[PlacedCluster, ...]
     poses: tuple[gtsam.Pose3, ...]
     row: dict[str, Any]
+    joined: int = 0
     tried: tuple[Tried, ...] = ()
 
 
@@ -49,7 +51,8 @@ class MapResult:
         clusters: All clusters of G(t), each at the place of its number.
         factors: All its factors.
         values: Newest estimate of all its variables.
-        trajectory: T_map_base at the cluster stamps.
+        trajectory: T_map_base at the cluster stamps, and where the vehicle stood also at the end
+            of each window.
         scans: The scans of the map with the clusters that hold them.
         fixes: Antenna positions (K, 3) of the used fixes, metres in the map.
         rows: The rows of ``windows.csv``.
@@ -113,3 +116,19 @@ class MapResult:
             Points (N, 3) in the map, metres.
         """
         return accumulate(self.placed_scans(unreadable), settings.voxel_size, settings.max_range)
+
+
+def trajectory_of(clusters: Sequence[PlacedCluster], values: gtsam.Values) -> Trajectory:
+    """T_map_base at the stamps of clusters, and at those at which the vehicle stood there.
+
+    Args:
+        clusters: Clusters of G(t), in the order of their numbers.
+        values: Their poses.
+    """
+    stamps: list[int] = []
+    poses: list[NDArray[np.float64]] = []
+    for placed in clusters:
+        here = [placed.cluster.stamp, *placed.stood]
+        stamps += here
+        poses += [values.atPose3(pose_key(placed.id)).matrix()] * len(here)
+    return from_matrices(np.array(stamps, dtype=np.int64), np.array(poses).reshape(-1, 4, 4))

@@ -41,6 +41,8 @@ class Totals:
     solved: int = 0
     tied: int = 0
     saved: int = 0
+    standing_windows: int = 0
+    joined: int = 0
     scores: Counter[str] = field(default_factory=Counter)
     seconds: Counter[str] = field(default_factory=Counter)
     verifications: list[Verification] = field(default_factory=list)
@@ -128,6 +130,7 @@ class MapStatistics:
     compressions are 100 · (1 − count / base). ``score_names`` is the key ``selection.score``.
     ``candidates_tied`` counts those whose score could not be told from their window's lowest, that
     one included; ``vertices_saved_by_ties`` is what the smallest of them had less than that one.
+    ``standing_windows`` are those whose ``joined_measurements`` added no variable.
     ``verification`` is left out where nothing was verified.
     """
 
@@ -152,6 +155,8 @@ class MapStatistics:
     candidates_solved: int
     candidates_tied: int
     vertices_saved_by_ties: int
+    standing_windows: int
+    joined_measurements: int
     components: int
     carried_windows: int
     cut_windows: int
@@ -236,6 +241,8 @@ def map_statistics(
         candidates_solved=totals.solved,
         candidates_tied=totals.tied,
         vertices_saved_by_ties=totals.saved,
+        standing_windows=totals.standing_windows,
+        joined_measurements=totals.joined,
         components=state.components.n_subsets,
         carried_windows=totals.carried_windows,
         cut_windows=totals.cut_windows,

@@ -50,7 +50,7 @@ class CandidateSpool:
             (),
             (),
             {'score_name': window.row['score_name']},
-            window.tried,
+            tried=window.tried,
         )
         data = zlib.compress(pickle.dumps(kept, pickle.HIGHEST_PROTOCOL), FAST)
         written = 0

@@ -7,6 +7,7 @@ from typing import Any
 import gtsam
 import numpy as np
 
+from incremental_mapper.candidates.model import CoreMeasurement
 from incremental_mapper.graph.factors import Factor, pose_numbers
 from incremental_mapper.smoothing.graph_state import PlacedCluster
 from incremental_mapper.variables import cluster_of, key_name, kind_of
@@ -45,7 +46,8 @@ def graph_tree(
     Returns:
         ``format``, ``frame``, ``units``, and three lists. ``variables``: key, kind (pose, velocity
         or bias), cluster, stamp_ns and value (of a pose x, y, z and the quaternion x, y, z, w).
-        ``clusters``: id, window, stamp_ns, first_ns, last_ns and members (sensor, kind, stamp_ns).
+        ``clusters``: id, window, stamp_ns, first_ns, last_ns and members (sensor, kind, stamp_ns),
+        and, where the vehicle stood, what joined it later, as members are.
         ``factors``: kind, variables, sensor, stamps_ns, and what the factor measured.
     """
     stamps = {placed.id: placed.cluster.stamp for placed in clusters}
@@ -74,10 +76,8 @@ def graph_tree(
                 'stamp_ns': placed.cluster.stamp,
                 'first_ns': placed.cluster.members[0].stamp,
                 'last_ns': placed.cluster.members[-1].stamp,
-                'members': [
-                    {'sensor': core.sensor, 'kind': str(core.kind), 'stamp_ns': core.stamp}
-                    for core in placed.cluster.members
-                ],
+                'members': _core_trees(placed.cluster.members),
+                **_joined(placed),
             }
             for placed in clusters
         ],
@@ -92,6 +92,14 @@ def graph_tree(
             for factor in factors
         ],
     }
+
+
+def _core_trees(some: Sequence[CoreMeasurement]) -> list[dict[str, Any]]:
+    return [{'sensor': c.sensor, 'kind': str(c.kind), 'stamp_ns': c.stamp} for c in some]
+
+
+def _joined(placed: PlacedCluster) -> dict[str, Any]:
+    return {'joined': _core_trees(placed.joined)} if placed.joined else {}
 
 
 def compare_graphs(

@@ -129,7 +129,9 @@ class MapSession:
         lost = self.taken(FAILED)
         del lost[IMU, FAILED]
         for placed in self._mapper.state.clusters:
-            lost.subtract((core.sensor, FAILED) for core in placed.cluster.members)
+            lost.subtract(
+                (core.sensor, FAILED) for core in (*placed.cluster.members, *placed.joined)
+            )
         return +lost
 
     def _wall(self) -> float:
@@ -145,7 +147,7 @@ class MapSession:
             'real_time_factor': stats['drive_s'] / wall if wall > 0 else 0.0,
             'peak_rss_mb': peak_rss_mb(),
         }
-        newest = self._mapper.newest() if result.clusters else None
+        newest = self._mapper.newest() if result.clusters or result.joined else None
         odometry = None if newest is None else self._odometry.follow(self._mapper.state, newest)
         scans = self._new_scans()
         self.scan_bytes += sum(scan.stored.nbytes for scan in scans)

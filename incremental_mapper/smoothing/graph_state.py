@@ -1,15 +1,15 @@
 """G(t): every cluster, factor and value so far, and the lag in which it still changes."""
 
 from collections import Counter, deque
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
 from scipy.cluster.hierarchy import DisjointSet
 
-from incremental_mapper.candidates.model import Cluster
+from incremental_mapper.candidates.model import Cluster, CoreMeasurement
 from incremental_mapper.config import MOST_SUBMAP_SCANS
 from incremental_mapper.graph.factors import BETWEEN_STATES, Factor
 from incremental_mapper.graph.frontier import Frontier
@@ -23,11 +23,17 @@ KNOWN_VELOCITY = 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedCluster:
-    """A cluster of G(t) under its final number."""
+    """A cluster of G(t) under its final number.
+
+    ``joined`` are measurements that came to it later, while the vehicle stood; it stood there
+    at the stamps ``stood`` (ns), one for each window.
+    """
 
     id: int
     window: int
     cluster: Cluster
+    joined: tuple[CoreMeasurement, ...] = ()
+    stood: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -168,6 +174,35 @@ class GraphState:
         self.recent.extend(scans)
         self.fixes.extend(fixes)
 
+    def add_joined(
+        self, cluster: int, core: Sequence[CoreMeasurement], fixes: Sequence[PlacedFix]
+    ) -> None:
+        """Let measurements of a vehicle that stands join a cluster.
+
+        Args:
+            cluster: Its number.
+            core: The measurements of a window.
+            fixes: Those of them that are fixes; their places count the factors to come.
+        """
+        before = self.clusters[cluster]
+        self.clusters[cluster] = replace(
+            before,
+            joined=(*before.joined, *core),
+            stood=(*before.stood, max(item.stamp for item in core)),
+        )
+        self.fixes.extend(fixes)
+        self.scan_offsets |= {(item.sensor, item.stamp): gtsam.Pose3() for item in core}
+
+    def creep(self, moved: Mapping[str, gtsam.Pose3]) -> None:
+        """A vehicle that seemed to stand has crept on.
+
+        Args:
+            moved: How far, by what the LiDARs say; the next scans are matched from there.
+        """
+        for name, (_, stamp) in self.frontier.chains.items():
+            if name in moved and (name, stamp) in self.scan_offsets:
+                self.scan_offsets[name, stamp] = moved[name]
+
     def add_factors(self, made: Sequence[Factor], prior: MarginalPrior) -> None:
         """Append factors, with the marginal prior that holds what they say.
 
@@ -203,10 +238,12 @@ class GraphState:
         """
         self.frontier = frontier
         chains = frontier.chains
-        self.scan_offsets = {
+        offsets = self.scan_offsets | {
             (scan.sensor, scan.stamp): scan.T_cluster_scan
             for scan in self.scans[-50 * max(len(chains), 1) :]
-            if chains.get(scan.sensor, (0, -1))[1] == scan.stamp
+        }
+        self.scan_offsets = {
+            (name, stamp): offsets[name, stamp] for name, (_, stamp) in chains.items()
         }
         head = frontier.head
         if head is not None and frontier.head_inertial:
