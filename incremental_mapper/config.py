@@ -408,6 +408,9 @@ class SaveSettings(Section):
     fallback: str = ''
     """Folder that takes a map whose own place cannot be written; empty takes the system's folder
     for temporary files."""
+    pictures: bool = True
+    """Draw pictures once the data are in place, where matplotlib is installed: some seconds of
+    another process."""
     candidates: bool = True
     """Write candidates.parquet too, where pyarrow is installed; keeps every candidate in a
     temporary file, about 50 MB an hour."""

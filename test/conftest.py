@@ -71,7 +71,8 @@ class MapRun:
 
         A fix that later ones refuted leaves its cluster's pose behind, and no factor.
         """
-        members = (member for item in self.graph['clusters'] for member in item['members'])
+        held = ([*item['members'], *item.get('joined', ())] for item in self.graph['clusters'])
+        members = (member for members in held for member in members)
         fixes = {factor['stamps_ns'][0] for factor in self.factors('gnss')}
         return sorted(
             item['stamp_ns']
@@ -213,18 +214,17 @@ def messages(light_bag):
 
 
 @pytest.fixture
-def start_node(tmp_path, light_bag, monkeypatch):
+def start_node(tmp_path, light_bag):
     """Start a node in this process, with ``trees`` laid over the settings of ``light_bag``.
 
     It saves into ``tmp_path / 'saved'``, without pictures, and is closed in the end.
     """
     from ros_helpers import NodeSession, bag_parameters
 
-    monkeypatch.setitem(sys.modules, 'matplotlib', None)
     sessions = []
 
     def start(*trees):
-        saving = {'save': {'folder': str(tmp_path / 'saved')}}
+        saving = {'save': {'folder': str(tmp_path / 'saved'), 'pictures': False}}
         sessions.append(NodeSession(tmp_path, bag_parameters(light_bag, saving, *trees)))
         return sessions[-1]
 

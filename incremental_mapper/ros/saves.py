@@ -59,10 +59,12 @@ class Saves:
 
         def done(outcome: Outcome) -> None:
             self._tell_fault(outcome)
-            success, message = told(outcome)
+            success, message = told(outcome, settings.pictures)
             self._emit(Reply(command.ticket, success, message))
 
-        self._processes.start(_job(snapshot, self._target(self._settings().folder)), done)
+        settings = self._settings()
+        job = _job(snapshot, self._target(settings.folder), settings.pictures)
+        self._processes.start(job, done)
 
     def ends(self, snapshot: Snapshot, last: bool = False) -> None:
         """Save a map that ends, if that is wanted.
@@ -74,7 +76,7 @@ class Saves:
         folder = self._settings().on_shutdown
         if not folder:
             return
-        job = _job(snapshot, self._target(folder), quiet=not last)
+        job = _job(snapshot, self._target(folder), self._settings().pictures, quiet=not last)
         outcomes: list[Outcome] = []
         self._processes.start(job, outcomes.append if last else self._ended)
         if not last:
@@ -121,7 +123,7 @@ class Saves:
     def _ended(self, outcome: Outcome) -> None:
         """Tell of a map that ended; called by any thread."""
         self._tell_fault(outcome)
-        success, message = told(outcome)
+        success, message = told(outcome, self._settings().pictures)
         self.failed += not success
         self._emit(Trouble(message))
 
@@ -134,26 +136,27 @@ class Saves:
         return Target(Path(folder), Path(fallback or tempfile.gettempdir()).expanduser())
 
 
-def told(outcome: Outcome) -> tuple[bool, str]:
+def told(outcome: Outcome, pictures: bool) -> tuple[bool, str]:
     """Whether a map is saved as it was wanted and is to be trusted, and the words for it."""
     saved = outcome.saved
     if saved is None:
         return False, outcome.reason
     worst = [item for item in saved.warnings if item.severity is not Severity.MENDED][:1]
     failed = bool(saved.trouble) or any(item.severity is Severity.ERROR for item in worst)
-    return not failed, f'saved to {saved.folder}{_remarks(saved, worst)}'
+    remarks = _remarks(saved, worst) or ('; pictures follow' if pictures else '')
+    return not failed, f'saved to {saved.folder}{remarks}'
 
 
 def _remarks(saved: Saved, worst: list[Finding]) -> str:
     remarks = [saved.trouble] if saved.trouble else []
     remarks += [finding.titled() for finding in worst]
-    return ''.join(f'; {remark}' for remark in remarks) or '; pictures follow'
+    return ''.join(f'; {remark}' for remark in remarks)
 
 
-def _job(snapshot: Snapshot, target: Target, quiet: bool = True) -> Job:
+def _job(snapshot: Snapshot, target: Target, pictures: bool, quiet: bool = True) -> Job:
     spool = snapshot.spool
 
     def more(folder: Path) -> str | None:
         return None if spool is None else write_candidates(folder, spool)
 
-    return Job(lambda: save_map(target, snapshot), more, quiet=quiet)
+    return Job(lambda: save_map(target, snapshot), more, pictures, quiet)

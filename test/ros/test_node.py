@@ -30,7 +30,7 @@ MEASURED = {'wall_s', 'real_time_factor', 'peak_rss_mb', 'seconds_by_stage'}
 def session(light_bag, messages, tmp_path_factory):
     """A node that has mapped the whole drive and still runs."""
     folder = tmp_path_factory.mktemp('node')
-    saving = {'save': {'folder': str(folder / 'saved')}}
+    saving = {'save': {'folder': str(folder / 'saved'), 'pictures': False}}
     made = NodeSession(folder, bag_parameters(light_bag, saving))
     made.play(messages)
     made.finish()

@@ -17,7 +17,7 @@ def session(tmp_path, light_bag):
     (tmp_path / 'store').mkdir()
     tree = {
         'map': {'store': 'disk', 'store_folder': str(tmp_path / 'store')},
-        'save': {'folder': str(tmp_path / 'saved')},
+        'save': {'folder': str(tmp_path / 'saved'), 'pictures': False},
     }
     made = NodeSession(tmp_path, bag_parameters(light_bag, tree), listen=False)
     yield made

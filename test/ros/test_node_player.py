@@ -155,7 +155,7 @@ def test_player_that_is_started_with_the_node_plays_all_of_it(start, light_bag):
 @pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGINT])
 def test_signal_while_messages_flow_saves_a_complete_map(start, light_bag, tmp_path, number):
     saved = tmp_path / 'maps' / 'last'
-    programs = start({'save': {'on_shutdown': str(saved)}})
+    programs = start({'save': {'on_shutdown': str(saved), 'pictures': False}})
     player = programs.play(light_bag, '--rate', 0.5)
     programs.wait(lambda: len(programs.client.odometry) >= 8, 'odometry')
     assert player.poll() is None, 'the bag ended before the signal'
@@ -169,7 +169,7 @@ def test_signal_while_messages_flow_saves_a_complete_map(start, light_bag, tmp_p
 
 def test_looped_bag_with_clock_starts_a_new_map_after_saving_the_old(start, light_bag, tmp_path):
     last = tmp_path / 'last'
-    programs = start(CLOCK, ROOMY, {'save': {'on_shutdown': str(last)}})
+    programs = start(CLOCK, ROOMY, {'save': {'on_shutdown': str(last), 'pictures': False}})
     player = programs.play(light_bag, '--loop', '--clock')
     client = programs.client
 
@@ -190,7 +190,7 @@ def test_looped_bag_with_clock_starts_a_new_map_after_saving_the_old(start, ligh
 
 def test_looped_bag_with_clock_is_ignored_where_the_policy_says_so(start, light_bag, tmp_path):
     saved, last = tmp_path / 'saved', tmp_path / 'last'
-    saving = {'save': {'folder': str(saved), 'on_shutdown': str(last)}}
+    saving = {'save': {'folder': str(saved), 'on_shutdown': str(last), 'pictures': False}}
     programs = start(CLOCK, saving, {'time_jump': {'policy': 'ignore'}})
     player = programs.play(light_bag, '--loop', '--clock')
     client = programs.client

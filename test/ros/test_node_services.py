@@ -50,7 +50,7 @@ def test_save_reset_pause(start_node, messages, tmp_path):
     session.finish()
     for number in ('', '_2'):
         success, message = session.call('save_map')
-        assert success and message == f'saved to {tmp_path}/saved{number}; pictures follow'
+        assert success and message == f'saved to {tmp_path}/saved{number}'
     assert vertices(tmp_path / 'saved') == vertices(tmp_path / 'saved_2') > 10
     assert not [path for path in tmp_path.iterdir() if path.name.startswith('.saved')]
     session.wait(lambda: len(decode_cloud(session.received['map'][-1])), 'a map')
@@ -258,5 +258,5 @@ def test_folder_of_a_save_may_change_while_the_node_runs(start_node, messages, t
         assert not answer.successful and 'save.folder' in answer.reason
     (answer,) = parameters.set_parameters([Parameter('save.folder', value=f'{tmp_path}/hall')])
     assert answer.successful
-    assert session.call('save_map') == (True, f'saved to {tmp_path}/hall; pictures follow')
+    assert session.call('save_map') == (True, f'saved to {tmp_path}/hall')
     assert vertices(tmp_path / 'hall') > 0

@@ -84,7 +84,7 @@ def start(light_drive, tmp_path):
     runs = []
 
     def make(tree=None):
-        saving = {'save': {'folder': str(tmp_path / 'saved')}}
+        saving = {'save': {'folder': str(tmp_path / 'saved'), 'pictures': False}}
         runs.append(Run(light_drive, merge(saving, tree or {})))
         return runs[-1]
 
