@@ -47,6 +47,9 @@ def resident(pid: int | str = 'self') -> int:
     raise InputError('the program has ended')
 
 
+NOISE = 0.01 * (np.eye(6) + 0.1)
+
+
 def piece_sizes() -> dict[str, float]:
     """Bytes of each kind of piece."""
     config = Config()
@@ -55,7 +58,7 @@ def piece_sizes() -> dict[str, float]:
     def odometry(i: int) -> Factor:
         pose = gtsam.Pose3(gtsam.Rot3.Yaw(0.1), np.array([1.0, 2.0, i]))
         ends, stamps = (pose_key(i), pose_key(i + 1)), (STAMP + i, STAMP + i + 1)
-        return between_factor(FactorKind.ODOMETRY, ends, pose, np.full(6, 0.1), 'left', stamps)
+        return between_factor(FactorKind.ODOMETRY, ends, pose, NOISE, 'left', stamps)
 
     def gnss(i: int) -> Factor:
         position = np.array([1.0, 2.0, i])

@@ -31,11 +31,18 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument('timing', type=Path, metavar='TIMING_DIR')
     parser.add_argument('drives', type=Path, metavar='DRIVES_DIR')
+    parser.add_argument(
+        '--first-seed',
+        type=int,
+        default=FIRST_SEED,
+        metavar='N',
+        help='seed of the first drive (default: %(default)s); other seeds make other streets',
+    )
     args = parser.parse_args()
     # The seed is the place in the sorted list, so that figures can be compared with older ones.
     stamps = [
         (seed, path, motion)
-        for seed, path in enumerate(sorted(args.timing.glob('*.csv')), start=FIRST_SEED)
+        for seed, path in enumerate(sorted(args.timing.glob('*.csv')), start=args.first_seed)
         if (motion := motion_of_name(path.stem)[0]) is not None
     ]
     if not stamps:

@@ -115,6 +115,13 @@ class WindowSettings(Section):
     """Seconds for which unconnected measurements are carried before a bridge is built."""
 
 
+class MatchNoise(StrEnum):
+    """Where the noise of a match comes from."""
+
+    HESSIAN = 'hessian'
+    CONSTANT = 'constant'
+
+
 class OdometrySettings(Section):
     """Scan matching between consecutive scans of one LiDAR."""
 
@@ -144,10 +151,21 @@ class OdometrySettings(Section):
     """Match each LiDAR's scans in a process of its own: the same results, sooner."""
     deskew: bool = True
     """Undo the motion within a sweep where the cloud has per-point time."""
+    noise: MatchNoise = MatchNoise.HESSIAN
+    """hessian gives every match of gicp a covariance of its own, by how well the scans hold it in
+    each direction; constant gives all of them the sigmas below, as do those of kiss_icp."""
+    covariance_scale: float = Field(default=50.0, gt=0.0, le=1e6)
+    """hessian: factor on the inverse Hessian of a match, whose points are not independent and whose
+    errors are much alike from scan to scan."""
+    floor_translation: Sigma = 0.01
+    """hessian: standard deviation in metres that a match has at the least, each axis."""
+    floor_rotation: Sigma = 0.001
+    """hessian: the same in radians."""
     sigma_translation: Sigma = 0.03
-    """Standard deviation of a match in metres, each axis."""
+    """constant: standard deviation of a match in metres, each axis."""
     sigma_rotation: Sigma = 0.003
-    """Standard deviation of a match in radians, each axis."""
+    """constant: standard deviation of a match in radians, each axis; ties of candidates are judged
+    by it as well."""
 
     @model_validator(mode='after')
     def _check_ranges(self) -> Self:

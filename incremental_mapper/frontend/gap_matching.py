@@ -5,6 +5,7 @@ where it explains the scan closely, and where matching the other way round leads
 """
 
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import gtsam
 import numpy as np
@@ -12,6 +13,7 @@ import small_gicp
 from numpy.typing import NDArray
 
 from incremental_mapper.config import OdometrySettings
+from incremental_mapper.frontend.match_noise import match_covariance
 from incremental_mapper.geometry import transform_points
 
 LONG = 1.0
@@ -35,6 +37,8 @@ NEIGHBOURS = 10
 SAME_TRANSLATION, SAME_ROTATION = 0.2, 0.02
 """Metres and radians within which two results are one."""
 
+GapMatch: TypeAlias = tuple[gtsam.Pose3, float, NDArray[np.float64] | None]
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScanCloud:
@@ -52,7 +56,7 @@ class ScanCloud:
 
 def match_over_gap(
     previous: ScanCloud, current: ScanCloud, guess: gtsam.Pose3, settings: OdometrySettings
-) -> tuple[gtsam.Pose3, float] | None:
+) -> GapMatch | None:
     """Find the motion between two scans that are seconds apart.
 
     Args:
@@ -62,9 +66,10 @@ def match_over_gap(
         settings: Those of odometry.
 
     Returns:
-        T_previous_current and the share of points with a partner; None where no match is certain.
+        T_previous_current, the share of points with a partner and the covariance of the motion, see
+        ``match_covariance``; None where no match is certain.
     """
-    found: list[tuple[gtsam.Pose3, float]] = []
+    found: list[GapMatch] = []
     for place, (ahead, turned) in enumerate(STARTS):
         off = gtsam.Pose3(gtsam.Rot3.Yaw(turned), np.array([ahead, 0.0, 0.0]))
         result = _align(previous, current, guess.compose(off), settings)
@@ -95,8 +100,8 @@ def _explained(previous: ScanCloud, current: ScanCloud, pose: gtsam.Pose3) -> bo
 
 def _align(
     target: ScanCloud, source: ScanCloud, guess: gtsam.Pose3, settings: OdometrySettings
-) -> tuple[gtsam.Pose3, float] | None:
-    """T_target_source and the share of points with a partner."""
+) -> GapMatch | None:
+    """T_target_source, the share of points with a partner, and the covariance of the motion."""
     result = small_gicp.align(
         target.cloud,
         source.cloud,
@@ -111,7 +116,8 @@ def _align(
     motion = np.asarray(result.T_target_source)
     if not np.isfinite(motion).all():
         return None
-    return gtsam.Pose3(motion), result.num_inliers / max(source.cloud.size(), 1)
+    overlap = result.num_inliers / max(source.cloud.size(), 1)
+    return gtsam.Pose3(motion), overlap, match_covariance(result, source.cloud, settings)
 
 
 def _same(one: gtsam.Pose3, other: gtsam.Pose3) -> bool:

@@ -15,8 +15,9 @@ from incremental_mapper.candidates.model import CoreKind, CoreMeasurement
 from incremental_mapper.config import Config, OdometrySettings
 from incremental_mapper.errors import MeasurementError
 from incremental_mapper.frontend.gap_matching import LONG
+from incremental_mapper.frontend.match_noise import WEAK, carried, weak_directions
 from incremental_mapper.frontend.preprocessing import STANDING, Sweep, Twist, deskew, to_base
-from incremental_mapper.frontend.registration import make_matcher
+from incremental_mapper.frontend.registration import Match, make_matcher
 from incremental_mapper.measurements import NANOSECONDS, LidarScan
 from incremental_mapper.voxels import thin
 
@@ -44,7 +45,9 @@ class PreparedScan:
     ``thinned`` (N, 3) are its points in base_link for the map, in the map's single precision,
     ``sparse`` (M, 3) those for scoring, metres.
     ``T_previous_current`` links it to the scan of the same LiDAR at ``previous``; both are None
-    where there is no odometry. ``usable`` says that the next scan may link to this one.
+    where there is no odometry. ``covariance`` (6, 6) is that of this motion, in the frame of the
+    scan and in GTSAM's order, rotation before translation; None where the matcher does not tell.
+    ``usable`` says that the next scan may link to this one.
     """
 
     core: CoreMeasurement
@@ -53,6 +56,7 @@ class PreparedScan:
     previous: int | None
     T_previous_current: gtsam.Pose3 | None
     usable: bool = True
+    covariance: NDArray[np.float64] | None = None
 
 
 class ScanPreparer:
@@ -113,6 +117,7 @@ class ScanPreparer:
             previous=link.previous,
             T_previous_current=link.T_previous_current,
             usable=link.usable,
+            covariance=link.covariance,
         )
 
 
@@ -120,14 +125,23 @@ class ScanPreparer:
 class ChainLink:
     """A scan at its stamp in base_link and its odometry.
 
-    ``points`` (N, 3) are in metres. ``previous`` and ``T_previous_current`` are None without
-    odometry. ``usable`` says that the next scan may be matched to this one.
+    ``points`` (N, 3) are in metres. ``previous``, ``T_previous_current`` and ``covariance`` are as
+    in PreparedScan. ``usable`` says that the next scan may be matched to this one.
     """
 
     points: NDArray[np.float64]
     previous: int | None = None
     T_previous_current: gtsam.Pose3 | None = None
     usable: bool = True
+    covariance: NDArray[np.float64] | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """Motion from stamp to stamp that is believed, and its covariance, see ``PreparedScan``."""
+
+    pose: gtsam.Pose3
+    covariance: NDArray[np.float64] | None
 
 
 class LidarChain:
@@ -189,7 +203,7 @@ class LidarChain:
             self._matcher = make_matcher(self._settings)
             self._matcher.match(deskew(first, self._twist, first.middle), gtsam.Pose3())
             motion = self._accept(sweep, gap)
-            if motion is not None and before.equals(motion, 0.005):
+            if motion is not None and before.pose.equals(motion.pose, 0.005):
                 break
         if motion is None:
             return self._reject(sweep)
@@ -205,27 +219,25 @@ class LidarChain:
         gap += moment - self._moment
         guess = self._twist.over(gap)
         match = self._matcher.match_over_gap(deskew(sweep, self._twist, moment), guess)
-        motion = None if match is None else self._believe(match.T_previous_current, gap, moment)
+        motion = None if match is None else self._believe(match, gap, moment)
         if motion is None:
             self._note('no certain match over a gap')
             self._begin()
             return self._start(sweep)
         return self._continue(sweep, motion)
 
-    def _accept(self, sweep: Sweep, gap: float) -> gtsam.Pose3 | None:
+    def _accept(self, sweep: Sweep, gap: float) -> Motion | None:
         """Match a scan; None where the match is not to be believed, else the twist follows it."""
         moment = sweep.middle
         gap += moment - self._moment
         match = self._matcher.match(deskew(sweep, self._twist, moment), self._twist.over(gap))
         if match is None or match.overlap < self._settings.min_overlap:
             return None
-        return self._believe(match.T_previous_current, gap, moment)
+        return self._believe(match, gap, moment)
 
-    def _believe(
-        self, T_previous_current: gtsam.Pose3, gap: float, moment: float
-    ) -> gtsam.Pose3 | None:
+    def _believe(self, match: Match, gap: float, moment: float) -> Motion | None:
         """The motion from stamp to stamp; None where no vehicle makes it."""
-        tangent = gtsam.Pose3.Logmap(T_previous_current) / gap
+        tangent = gtsam.Pose3.Logmap(match.T_previous_current) / gap
         twist = Twist(linear=tangent[3:], angular=tangent[:3])
         surprise = float(np.linalg.norm(twist.linear - self._twist.linear)) * gap
         allowed = MAX_SURPRISE + 0.5 * BRAKING * max(gap - AT_ONCE, 0.0) ** 2
@@ -233,12 +245,17 @@ class LidarChain:
             return None
         before, self._twist = self._twist if self._matched else twist, twist
         start, end = before.over(self._moment), twist.over(-moment)
-        return start.compose(T_previous_current).compose(end)
+        return Motion(
+            start.compose(match.T_previous_current).compose(end),
+            None if match.covariance is None else carried(match.covariance, end.inverse()),
+        )
 
-    def _continue(self, sweep: Sweep, motion: gtsam.Pose3) -> ChainLink:
+    def _continue(self, sweep: Sweep, motion: Motion) -> ChainLink:
         previous, self._stamp, self._moment = self._stamp, sweep.stamp, sweep.middle
         self._matched, self._rejected, self._first = True, 0, None
-        return ChainLink(self._at_stamp(sweep), previous, motion)
+        if motion.covariance is not None and weak_directions(motion.covariance):
+            self._note(WEAK)
+        return ChainLink(self._at_stamp(sweep), previous, motion.pose, covariance=motion.covariance)
 
     def _reject(self, sweep: Sweep) -> ChainLink:
         """Start anew at this scan, with the motion that was known before."""

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from incremental_mapper.config import OdometryMethod, OdometrySettings
 from incremental_mapper.frontend.gap_matching import ScanCloud, match_over_gap
+from incremental_mapper.frontend.match_noise import match_covariance
 from incremental_mapper.geometry import transform_points
 from incremental_mapper.voxels import thin
 
@@ -27,11 +28,14 @@ match no better."""
 class Match:
     """Motion between two scans, ``T_previous_current``, and how much of the scan it explains.
 
-    ``overlap`` is the share of points that found a partner, 1 where the matcher does not tell.
+    ``overlap`` is the share of points that found a partner, 1 where the matcher does not tell;
+    ``covariance`` (6, 6) is that of the motion, in the current scan's frame and in GTSAM's order,
+    rotation before translation; None where the matcher does not tell.
     """
 
     T_previous_current: gtsam.Pose3
     overlap: float = 1.0
+    covariance: NDArray[np.float64] | None = None
 
 
 class ScanMatcher(Protocol):
@@ -114,7 +118,9 @@ class GicpMatcher:
             finite = bool(np.isfinite(motion).all())
             pose = gtsam.Pose3(motion) if finite else guess
             overlap = result.num_inliers / max(cloud.size(), 1) if finite else 0.0
-            match = Match(pose, overlap)
+            match = Match(
+                pose, overlap, match_covariance(result, cloud, settings) if finite else None
+            )
             back = pose.inverse().matrix()
             for i, older in enumerate(self._window):
                 self._window[i] = transform_points(back, older)

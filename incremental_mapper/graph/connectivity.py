@@ -12,6 +12,7 @@ from scipy.cluster.hierarchy import DisjointSet
 from incremental_mapper.candidates.model import HEAD, Candidate, Cluster, CoreMeasurement
 from incremental_mapper.frontend.front_end import Prepared
 from incremental_mapper.frontend.lidar_odometry import PreparedScan
+from incremental_mapper.frontend.match_noise import weak_directions
 from incremental_mapper.graph.factors import Factor
 from incremental_mapper.graph.frontier import Frontier
 
@@ -30,6 +31,7 @@ class Partition:
         numbered: The clusters by their number.
         homes: Number of the cluster of every scan, by sensor and stamp (ns).
         components: Component of every cluster without any connection; 0 is that of G(t-1).
+        firm: The same where matches that are weak in some direction join nothing.
         factors: Odometry and fixes of the clusters' members, by the clusters' first elements.
     """
 
@@ -37,6 +39,7 @@ class Partition:
     numbered: Mapping[int, Cluster]
     homes: Mapping[tuple[str, int], int]
     components: tuple[int, ...]
+    firm: tuple[int, ...]
     factors: dict[int, Sequence[Factor]] = field(default_factory=dict)
 
     def unconnected(self, candidate: Candidate) -> list[list[Cluster]]:
@@ -49,18 +52,31 @@ class Partition:
             The clusters of each such component, both in time order; empty where the candidate is
             connected.
         """
-        labels = self.components
-        if not any(labels):
-            return []
-        for link in candidate.connections:
-            start = 0 if link.start == HEAD else labels[link.start]
-            low, high = sorted((start, labels[link.end]))
-            labels = tuple(low if label == high else label for label in labels)
         found: dict[int, list[Cluster]] = {}
+        labels = _joined(self.components, candidate)
         for cluster, label in zip(self.clusters, labels, strict=True):
             if label:
                 found.setdefault(label, []).append(cluster)
         return list(found.values())
+
+    def held(self, candidate: Candidate) -> bool:
+        """Whether no cluster hangs on matches that the scans hold weakly.
+
+        Args:
+            candidate: A candidate with these clusters.
+        """
+        return not any(_joined(self.firm, candidate))
+
+
+def _joined(labels: tuple[int, ...], candidate: Candidate) -> tuple[int, ...]:
+    """The components of its clusters, joined by a candidate's connections."""
+    if not any(labels):
+        return labels
+    for link in candidate.connections:
+        start = 0 if link.start == HEAD else labels[link.start]
+        low, high = sorted((start, labels[link.end]))
+        labels = tuple(low if label == high else label for label in labels)
+    return labels
 
 
 class Partitions:
@@ -72,6 +88,13 @@ class Partitions:
         self._homes = frontier.homes()
         self._elements = len({core.stamp for core in prepared})
         self._made: dict[int, Partition] = {}
+        self._weak = {
+            core
+            for core, item in prepared.items()
+            if isinstance(item, PreparedScan)
+            and item.covariance is not None
+            and weak_directions(item.covariance)
+        }
 
     def number(self, cluster: Cluster) -> int:
         """Number of a cluster while candidates compete; unique within the window."""
@@ -98,16 +121,25 @@ class Partitions:
         for cluster, own in zip(clusters, numbers, strict=True):
             for core in cluster.members:
                 homes[core.sensor, core.stamp] = own
-        sets = DisjointSet([GRAPH, *numbers])
+        every, firm = DisjointSet([GRAPH, *numbers]), DisjointSet([GRAPH, *numbers])
         if self._is_first and numbers:
-            sets.merge(GRAPH, numbers[0])
+            every.merge(GRAPH, numbers[0])
+            firm.merge(GRAPH, numbers[0])
         for cluster, own in zip(clusters, numbers, strict=True):
             for core in cluster.members:
                 item = self._prepared[core]
                 if isinstance(item, PreparedScan) and item.previous is not None:
                     other = homes.get((core.sensor, item.previous))
                     if other is not None:
-                        sets.merge(GRAPH if other in known else other, own)
-        labels: dict[int | str, int] = {sets[GRAPH]: 0}
-        components = tuple(labels.setdefault(sets[own], len(labels)) for own in numbers)
-        return Partition(clusters, dict(zip(numbers, clusters, strict=True)), homes, components)
+                        ends = GRAPH if other in known else other, own
+                        every.merge(*ends)
+                        if core not in self._weak:
+                            firm.merge(*ends)
+        numbered = dict(zip(numbers, clusters, strict=True))
+        return Partition(clusters, numbered, homes, _labels(every, numbers), _labels(firm, numbers))
+
+
+def _labels(sets: DisjointSet, numbers: tuple[int, ...]) -> tuple[int, ...]:
+    """Component of every number; 0 is that of G(t-1)."""
+    labels: dict[int | str, int] = {sets[GRAPH]: 0}
+    return tuple(labels.setdefault(sets[own], len(labels)) for own in numbers)

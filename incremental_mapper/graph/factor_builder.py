@@ -20,6 +20,7 @@ from incremental_mapper.frontend.front_end import Prepared, PreparedFix
 from incremental_mapper.frontend.gap_matching import LONG
 from incremental_mapper.frontend.imu_preintegration import ImuSeries, preintegrate
 from incremental_mapper.frontend.lidar_odometry import PreparedScan
+from incremental_mapper.frontend.match_noise import carried
 from incremental_mapper.graph.connectivity import Partition, Partitions
 from incremental_mapper.graph.factors import (
     Factor,
@@ -46,6 +47,7 @@ UNSEEN_SPEED = 0.5
 of a match over 0.1 s is 0.3."""
 UNSEEN_TURN = 0.05
 """rad/s; the same of its rate of turn: a match's noise over 0.1 s is 0.03."""
+UNSEEN = np.diag(pose_sigmas(UNSEEN_SPEED, UNSEEN_TURN) ** 2)
 GAP_NOISE = 5.0
 """So many times the noise of a match has one over a gap: 0.15 to 0.22 m while a simulated car sets
 off, where matches at 10 Hz have 0.03 m."""
@@ -99,8 +101,9 @@ class FactorBuilder:
         self._partitions = partitions
         self._compensation = compensation
         self._cache: dict[tuple[object, ...], tuple[Factor, ...]] = {}
-        self._sigmas = pose_sigmas(
-            inputs.config.odometry.sigma_translation, inputs.config.odometry.sigma_rotation
+        odometry = inputs.config.odometry
+        self._constant = np.diag(
+            pose_sigmas(odometry.sigma_translation, odometry.sigma_rotation) ** 2
         )
 
     def factors(self, candidate: Candidate, since: int = 0) -> list[Factor]:
@@ -202,7 +205,7 @@ class FactorBuilder:
             FactorKind.BRIDGE,
             (pose_key(anchor), pose_key(self._partitions.number(cluster))),
             pose.between(self._in.states[cluster.stamp].pose),
-            pose_sigmas(position, max(rotation, graph.weak_sigma_rotation)),
+            np.diag(pose_sigmas(position, max(rotation, graph.weak_sigma_rotation)) ** 2),
             None,
             (stamp, cluster.stamp),
         )
@@ -220,31 +223,36 @@ class FactorBuilder:
                 else self._compensation.offset(start_cluster, item.previous)
             )
             after = self._compensation.offset(end, item.core.stamp)
-            over_gap = item.core.stamp - item.previous > LONG * NANOSECONDS
-            noise = GAP_NOISE if over_gap else 1.0
             motion = before.compose(item.T_previous_current).compose(after.inverse())
             self._cache[key] = (
                 between_factor(
                     FactorKind.ODOMETRY,
                     (pose_key(start), pose_key(own)),
                     motion,
-                    noise * self._moved_sigmas(end, item, start_cluster),
+                    self._covariance(item, after, end, start_cluster),
                     item.core.sensor,
                     (item.previous, item.core.stamp),
                 ),
             )
         return self._cache[key]
 
-    def _moved_sigmas(
-        self, end: Cluster, item: PreparedScan, start: Cluster | None
+    def _covariance(
+        self, item: PreparedScan, T_end_scan: gtsam.Pose3, end: Cluster, start: Cluster | None
     ) -> NDArray[np.float64]:
-        """Standard deviations of a match, with what moving its ends across IMU holes adds."""
+        """Covariance of a match in the frame of a cluster, in which its scan stands.
+
+        With what moving its ends across IMU holes adds, and more over a gap.
+        """
         unseen = self._compensation.unseen(end, item.core.stamp)
-        if start is not None and item.previous is not None:
+        assert item.previous is not None
+        if start is not None:
             unseen += self._compensation.unseen(start, item.previous)
-        if unseen <= 0.0:
-            return self._sigmas
-        return np.hypot(self._sigmas, unseen * pose_sigmas(UNSEEN_SPEED, UNSEEN_TURN))
+        known = item.covariance
+        covariance = self._constant if known is None else carried(known, T_end_scan)
+        if unseen > 0.0:
+            covariance = covariance + unseen**2 * UNSEEN
+        over_gap = item.core.stamp - item.previous > LONG * NANOSECONDS
+        return GAP_NOISE**2 * covariance if over_gap else covariance
 
     def _gnss(self, item: PreparedFix, cluster: Cluster) -> tuple[Factor, ...]:
         own = self._partitions.number(cluster)

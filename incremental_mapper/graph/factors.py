@@ -63,6 +63,10 @@ class Factor:
         return self.describe(self.factor)
 
 
+UPPER = np.triu_indices(6)
+"""Places of the upper triangle of a covariance, row by row, which stands for all of it."""
+
+
 def pose_numbers(pose: gtsam.Pose3) -> list[float]:
     """Position and quaternion x, y, z, qx, qy, qz, qw of a pose."""
     return matrix_numbers(pose.matrix())
@@ -77,12 +81,15 @@ def between_factor(
     kind: FactorKind,
     keys: tuple[int, int],
     T_first_second: gtsam.Pose3,
-    sigmas: NDArray[np.float64],
+    covariance: NDArray[np.float64],
     sensor: str | None,
     stamps: tuple[int, int],
 ) -> Factor:
-    """Relative pose of two clusters: odometry of one LiDAR, or a bridge over missing data."""
-    noise = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
+    """Relative pose of two clusters: odometry of one LiDAR, or a bridge over missing data.
+
+    ``covariance`` (6, 6) is that of ``T_first_second`` in the frame of the second, rotation first.
+    """
+    noise = gtsam.noiseModel.Gaussian.Covariance(covariance)
     return Factor(
         kind=kind,
         keys=keys,
@@ -94,10 +101,14 @@ def between_factor(
 
 
 def _describe_between(factor: Any) -> dict[str, Any]:
-    return {
+    noise = factor.noiseModel()
+    told = {
         'T_first_second': pose_numbers(factor.measured()),
-        'sigmas': factor.noiseModel().sigmas().tolist(),
+        'sigmas': noise.sigmas().tolist(),
     }
+    if not isinstance(noise, gtsam.noiseModel.Diagonal):
+        told['covariance'] = noise.covariance()[UPPER].tolist()
+    return told
 
 
 def gnss_factor(

@@ -26,6 +26,7 @@ from incremental_mapper.checks.motions import (
 from incremental_mapper.checks.outcome import Outcome
 from incremental_mapper.checks.residuals import Residuals, fit_findings
 from incremental_mapper.config import Config
+from incremental_mapper.frontend.match_noise import WEAK
 from incremental_mapper.graph.factors import Factor, FactorKind
 from incremental_mapper.mapping.statistics import Totals
 from incremental_mapper.measurements import NANOSECONDS
@@ -299,7 +300,8 @@ class FitWatch:
         reasons: dict[str, list[str]] = {}
         for text, count in notes.items():
             sensor, _, why = text.partition(': ')
-            reasons.setdefault(sensor, []).append(f'{count} {why}')
+            if why != WEAK:  # a match all the same
+                reasons.setdefault(sensor, []).append(f'{count} {why}')
         return Outcome(
             clusters=len(state.clusters),
             bridges=totals.bridges,

@@ -9,6 +9,7 @@ from typing import Any
 from incremental_mapper.candidates.model import CoreMeasurement
 from incremental_mapper.config import Config, Tree
 from incremental_mapper.frontend.gnss import Datum
+from incremental_mapper.frontend.match_noise import WEAK
 from incremental_mapper.graph.factors import FactorKind
 from incremental_mapper.mapping.base_count import BaseCount
 from incremental_mapper.measurements import NANOSECONDS, Drops
@@ -130,7 +131,8 @@ class MapStatistics:
     compressions are 100 · (1 − count / base). ``score_names`` is the key ``selection.score``.
     ``candidates_tied`` counts those whose score could not be told from their window's lowest, that
     one included; ``vertices_saved_by_ties`` is what the smallest of them had less than that one.
-    ``standing_windows`` are those whose ``joined_measurements`` added no variable.
+    ``standing_windows`` are those whose ``joined_measurements`` added no variable;
+    ``weak_matches`` are those that the scans hold weakly in some direction.
     ``verification`` is left out where nothing was verified.
     """
 
@@ -162,6 +164,7 @@ class MapStatistics:
     cut_windows: int
     merged_windows: int
     bridges: int
+    weak_matches: int
     solver_failures: int
     failed_windows: int
     weak_priors: int
@@ -248,6 +251,7 @@ def map_statistics(
         cut_windows=totals.cut_windows,
         merged_windows=totals.merged_windows,
         bridges=totals.bridges,
+        weak_matches=sum(count for text, count in notes.items() if text.endswith(WEAK)),
         solver_failures=totals.solver_failures,
         failed_windows=totals.failed_windows,
         weak_priors=kinds[str(FactorKind.PRIOR_POSE)] - 1 if state.factors else 0,

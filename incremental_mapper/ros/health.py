@@ -34,6 +34,7 @@ MAPPER_KEYS = (
     'factors',
     'components',
     'bridges',
+    'weak_matches',
     'georeferenced',
     'failed_windows',
 )

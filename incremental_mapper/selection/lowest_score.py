@@ -272,6 +272,7 @@ class _Selection:
                 if item not in seen
                 and (problem.may_merge or not item.merges)
                 and not problem.unconnected(item)
+                and problem.held(item)
             ]
             seen.update(around)
             for start in range(0, len(fresh), AT_ONCE):

@@ -50,12 +50,13 @@ def connected_candidates(problem: WindowProblem, looked: Sequence[Candidate]) ->
 
     Returns:
         The candidates that may win. Where ``may_merge`` is off, those that merge may do so only
-        if no other is connected.
+        if no other is connected; those with a cluster that hangs on weak matches only if all have.
     """
     eligible = [item for item in looked if not problem.unconnected(item)]
     connected, found = set(map(id, eligible)), len(eligible)
     if not problem.may_merge:
         eligible = [item for item in eligible if not item.merges] or eligible
+    eligible = [item for item in eligible if problem.held(item)] or eligible
     limit = problem.limit
     limited = limit is not None and len(eligible) > limit
     if limited:

@@ -82,6 +82,17 @@ class WindowProblem:
         """
         return self.partitions.of(candidate).unconnected(candidate)
 
+    def held(self, candidate: Candidate) -> bool:
+        """Whether no cluster hangs on matches that the scans hold weakly in some direction.
+
+        Such a cluster may lie anywhere along it, and the local map looks alike wherever it does:
+        no score of the map can tell.
+
+        Args:
+            candidate: One of the window's candidates.
+        """
+        return self.partitions.of(candidate).held(candidate)
+
 
 def pose_problem(
     items: Sequence[Prepared],

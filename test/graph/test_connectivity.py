@@ -1,5 +1,7 @@
 """Which clusters of a candidate reach G(t-1)."""
 
+from dataclasses import replace
+
 import gtsam
 import numpy as np
 
@@ -49,6 +51,18 @@ def components(items, groups, links=(), frontier=GROWN):
     candidate = Candidate(clusters, connections)
     unconnected = partitions.of(candidate).unconnected(candidate)
     return [[member for cluster in part for member in cluster.members] for part in unconnected]
+
+
+def held(items, groups, links=()):
+    cores = [item.core for item in items]
+    clusters = tuple(
+        Cluster(tuple(cores[i] for i in group), group[0], group[-1]) for group in groups
+    )
+    connections = tuple(Connection(start, end, 0, clusters[end].stamp, 0) for start, end in links)
+    partitions = Partitions({item.core: item for item in items}, GROWN)
+    candidate = Candidate(clusters, connections)
+    assert not partitions.of(candidate).unconnected(candidate)
+    return partitions.of(candidate).held(candidate)
 
 
 FIRST = [scan(LEFT, None), PreparedFix(FIX, np.zeros(3), np.eye(3)), scan(RIGHT, None)]
@@ -102,3 +116,22 @@ def test_odometry_inside_the_window_connects_nothing_to_the_graph_by_itself():
 def test_odometry_of_the_other_lidar_is_not_mistaken_for_ones_own():
     # The right scan names a predecessor at a stamp that only the left chain has.
     assert components([scan(RIGHT, 0)], ((0,),)) == [[RIGHT]]
+
+
+FIRM, OPEN = np.diag([1e-6] * 3 + [1e-4] * 3), np.diag([1e-6] * 3 + [0.09, 1e-4, 1e-4])
+
+
+def test_a_cluster_that_hangs_on_a_weak_match_alone_is_not_held():
+    left = scan(LEFT, 0)
+    for covariance, firm in ((None, True), (FIRM, True), (OPEN, False)):
+        items = [left, replace(scan(RIGHT, 37), covariance=covariance)]
+        assert held(items, ((0,), (1,))) is firm
+        assert held(items, ((0, 1),))  # the firm match of the left one holds both
+        assert held(items, ((0,), (1,)), [(0, 1)])
+        assert held(items, ((0,), (1,)), [(HEAD, 1)])
+
+
+def test_a_chain_of_firm_matches_on_a_weak_one_is_not_held_without_a_connection():
+    items = [replace(scan(LEFT, 0), covariance=OPEN), replace(scan(LATER, 100), covariance=FIRM)]
+    assert not held(items, ((0,), (1,)))
+    assert held(items, ((0,), (1,)), [(HEAD, 1)])

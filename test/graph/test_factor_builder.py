@@ -86,6 +86,30 @@ def test_merged_members_are_moved_to_the_stamp_of_their_cluster():
         assert_poses(factor.factor.measured(), motion(0, 90 * MS))
 
 
+def test_a_match_keeps_its_covariance_in_the_frame_of_the_cluster_in_which_its_scan_stands():
+    problem = problem_of(WINDOW)
+    candidate = merged(problem, (0, 2))
+    rng = np.random.default_rng(2)
+    root = 0.01 * rng.normal(size=(6, 6))
+    known = {core: item for core, item in problem.inputs.prepared.items() if core.sensor == 'right'}
+    for core, item in known.items():
+        problem.inputs.prepared[core] = replace(item, covariance=root @ root.T)
+    left, right = of_kind(problem.factors.factors(candidate), FactorKind.ODOMETRY)
+    assert left.data['sigmas'] == pytest.approx([0.003] * 3 + [0.03] * 3)
+    # The match is off by a step; how far off is the motion to the cluster, by its own noise?
+    before, match = motion(0, -30 * MS), motion(-30 * MS, 130 * MS)
+    after = motion(130 * MS, 90 * MS)
+    for step in root.T:
+        moved = before.compose(match.retract(1e-3 * step)).compose(after)
+        values = true_values(candidate, problem)
+        number = problem.partitions.number(candidate.clusters[0])
+        values.update(pose_key(number), truth(0).compose(moved))
+        whitened = right.factor.whitenedError(values) - right.factor.whitenedError(
+            true_values(candidate, problem)
+        )
+        assert np.linalg.norm(whitened) == pytest.approx(1e-3, rel=0.02)
+
+
 def test_fix_of_a_cluster_has_the_antenna_where_it_was_then():
     problem = problem_of(WINDOW)
     candidate = merged(problem, (0, 1), (2, 2))

@@ -59,7 +59,8 @@ def test_sigmas_of_a_pose_are_rotation_first():
 
 def test_relative_pose_is_of_the_second_in_the_first():
     keys = pose_key(1), pose_key(2)
-    made = between_factor(FactorKind.BRIDGE, keys, POSE, pose_sigmas(0.5, 0.1), None, (3, 4))
+    noise = np.diag(pose_sigmas(0.5, 0.1) ** 2)
+    made = between_factor(FactorKind.BRIDGE, keys, POSE, noise, None, (3, 4))
     assert squared(made, at(x1=START, x2=START.compose(POSE))) == pytest.approx(0.0, abs=1e-12)
     assert squared(made, at(x1=START, x2=POSE.compose(START))) > 1.0
     assert (made.kind, made.keys, made.sensor, made.stamps) == (
@@ -69,7 +70,26 @@ def test_relative_pose_is_of_the_second_in_the_first():
         (3, 4),
     )
     assert made.data['T_first_second'] == pytest.approx(pose_numbers(POSE))
-    assert made.data['sigmas'] == [0.1] * 3 + [0.5] * 3
+    assert made.data['sigmas'] == pytest.approx([0.1] * 3 + [0.5] * 3)
+    assert 'covariance' not in made.data
+
+
+def test_relative_pose_is_as_loose_in_each_direction_of_the_second_as_its_covariance_says():
+    axis = np.array([1.0, 1.0, 0.0]) / np.sqrt(2.0)
+    noise = 0.01 * np.eye(6)
+    noise[3:, 3:] += 0.99 * np.outer(axis, axis)
+    keys = pose_key(1), pose_key(2)
+    made = between_factor(FactorKind.ODOMETRY, keys, POSE, noise, 'left', (3, 4))
+    along, across = (
+        POSE.compose(gtsam.Pose3(gtsam.Rot3(), metres * np.array([*direction, 0.0])))
+        for metres, direction in ((1.0, axis[:2]), (0.1, (-axis[1], axis[0])))
+    )
+    for moved in (along, across):
+        there = at(x1=START, x2=START.compose(moved))
+        assert squared(made, there) == pytest.approx(1.0)
+    told = np.zeros((6, 6))
+    told[np.triu_indices(6)] = made.data['covariance']
+    assert told + np.triu(told, 1).T == pytest.approx(noise)
 
 
 COVARIANCE = np.diag([0.04, 0.09, 0.25])

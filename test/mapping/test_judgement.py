@@ -49,7 +49,7 @@ def straight(count, turned=0.0, fixes_off=0.0, until=None):
                     FactorKind.ODOMETRY,
                     (pose_key(index - 1), pose_key(index)),
                     gtsam.Pose3(gtsam.Rot3(), move),
-                    pose_sigmas(0.03, 0.003),
+                    np.diag(pose_sigmas(0.03, 0.003) ** 2),
                     name,
                     (stamp - S // 10, stamp),
                 )
@@ -113,7 +113,8 @@ def test_a_growing_map_is_judged_now_and_then():
 def test_outcome_counts_what_is_in_the_map():
     state, watch = straight(120), FitWatch(Config())
     for _ in range(2):  # nothing is counted twice
-        outcome = watch.outcome(state, Totals(bridges=3), {'left: match rejected': 4}, [])
+        notes = {'left: match rejected': 4, 'left: held weakly in some direction': 9}
+        outcome = watch.outcome(state, Totals(bridges=3), notes, [])
     assert outcome.matched == {'left': 119, 'right': 119}
     assert outcome.reasons == {'left': '4 match rejected'}
     assert (outcome.clusters, outcome.bridges, outcome.fixes) == (120, 3, 12)

@@ -143,13 +143,14 @@ def test_empty_run_has_numbers_too():
 def test_run_tells_of_everything_that_was_not_used():
     state, _ = committed()
     drops = Counter({('left', 'late'): 2, ('gps', 'low_status'): 1, ('left', 'bad'): 3})
-    notes = Counter({'left: match rejected': 4})
+    weak = 'held weakly in some direction'
+    notes = Counter({'left: match rejected': 4, f'left: {weak}': 2, f'right: {weak}': 1})
     totals = Totals(bridges=2, solver_failures=1, merged_windows=3, time_shift=2_500_000_000)
     totals.received.update({'left': 7})
     totals.add_seconds({'solve': 0.123456, 'verify': 9.0})
     stats = stats_of(state, base_of(2), totals, drops=drops, notes=notes, late=5, unused=CORE)
     assert stats['dropped'] == {'gps': {'low_status': 1}, 'left': {'bad': 3, 'late': 2}}
-    assert stats['notes'] == {'left: match rejected': 4}
+    assert stats['notes'] == notes and stats['weak_matches'] == 3
     assert stats['unused_measurements'] == 3 and stats['late_but_used'] == 5
     assert (stats['bridges'], stats['solver_failures'], stats['merged_windows']) == (2, 1, 3)
     assert stats['total_time_shift_s'] == 2.5

@@ -9,6 +9,8 @@ from hypothesis import strategies as st
 from turning_car import MS, imu_series, problem_of, settings
 
 from incremental_mapper.candidates.enumeration import candidates
+from incremental_mapper.candidates.model import CoreKind
+from incremental_mapper.graph.connectivity import Partitions
 from incremental_mapper.selection.cheapest import FewestVertices, LeastTimeShift
 from incremental_mapper.selection.lowest_score import LowestScore
 from incremental_mapper.selection.selector import best_index, connected_candidates
@@ -151,6 +153,26 @@ def test_merging_is_the_last_resort_while_the_velocity_is_unknown():
     only = [item for item in every if item.merges]
     assert connected_candidates(careful, only).eligible == [
         item for item in only if not careful.unconnected(item)
+    ]
+
+
+def test_a_cluster_on_weak_matches_alone_is_the_last_resort():
+    problem = problem_of(WINDOW)
+    for core, item in problem.inputs.prepared.items():
+        if core.kind is CoreKind.LIDAR:
+            problem.inputs.prepared[core] = replace(item, covariance=np.eye(6))
+    problem = replace(
+        problem, partitions=Partitions(problem.inputs.prepared, problem.inputs.frontier)
+    )
+    every = all_candidates(problem)
+    pool = connected_candidates(problem, every)
+    assert 0 < len(pool.eligible) < pool.found
+    ends = [{link.end for link in item.connections} for item in pool.eligible]
+    whole = [set(range(len(item.clusters))) for item in pool.eligible]
+    assert ends == whole
+    loose = [item for item in every if not item.connections]
+    assert connected_candidates(problem, loose).eligible == [
+        item for item in loose if not problem.unconnected(item)
     ]
 
 

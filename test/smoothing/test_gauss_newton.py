@@ -24,8 +24,8 @@ STEP = gtsam.Pose3(gtsam.Rot3.Ypr(0.05, 0.0, 0.01), np.array([1.0, 0.1, 0.0]))
 
 def odometry(first, second, motion):
     keys = (pose_key(first), pose_key(second))
-    sigmas = pose_sigmas(0.03, 0.003)
-    return between_factor(FactorKind.ODOMETRY, keys, motion, sigmas, 'left', (first, second)).factor
+    noise = np.diag(pose_sigmas(0.03, 0.003) ** 2)
+    return between_factor(FactorKind.ODOMETRY, keys, motion, noise, 'left', (first, second)).factor
 
 
 def fix(number, place, robust=0.0):

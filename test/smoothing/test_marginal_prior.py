@@ -36,7 +36,7 @@ def odometry(first, second, motion):
         FactorKind.ODOMETRY,
         (pose_key(first), pose_key(second)),
         motion,
-        pose_sigmas(0.03, 0.003),
+        np.diag(pose_sigmas(0.03, 0.003) ** 2),
         'left',
         (first, second),
     ).factor

@@ -1,0 +1,90 @@
+"""How far a match may be off, direction by direction, by the registration's own least squares.
+
+GICP takes every point for a piece of a plane, and minimises half the sum of rᵀ M r over its pairs.
+The Hessian of that tells in which directions the scene holds the match. Points are not independent,
+and consecutive matches repeat each other's errors, so that its inverse alone is far too small: its
+scale and floor are held against drives with truth, over motions of a second
+(``benchmarks/match_noise.py``).
+"""
+
+import gtsam
+import numpy as np
+import small_gicp
+from numpy.typing import NDArray
+
+from incremental_mapper.config import MatchNoise, OdometrySettings
+
+WEAK_TRANSLATION, WEAK_ROTATION = 0.1, 0.02
+"""Standard deviations of a match, metres and radians, from which on a direction is weak."""
+WEAK = 'held weakly in some direction'
+"""The note under which such matches are counted."""
+IN_PLANE = 0.5
+"""1/m^2; what M says of a pair even along its planes, each of which is given a variance of 1 m^2
+there. It says nothing of the scene: without it a bare field holds no match along the ground."""
+LEAST = 1e-6
+"""Information, 1/rad^2 or 1/m^2, that is none."""
+LOOSEST = 1.0
+"""Standard deviation, rad or m, that no direction exceeds: a registration does not step so far."""
+
+
+def match_covariance(
+    result: small_gicp.RegistrationResult, source: small_gicp.PointCloud, settings: OdometrySettings
+) -> NDArray[np.float64] | None:
+    """Covariance of a match.
+
+    small_gicp moves the source by T_target_source · Exp(d) with the rotation first, as GTSAM does:
+    its Hessian is in the frame of the source, and in GTSAM's order.
+
+    Args:
+        result: Of GICP.
+        source: The cloud that was matched.
+        settings: Those of odometry.
+
+    Returns:
+        Covariance (6, 6) in the frame of the source, rad^2 and m^2; None where the settings want
+        the same for all matches, or the Hessian tells nothing.
+    """
+    if settings.noise is MatchNoise.CONSTANT or result.num_inliers == 0:
+        return None
+    hessian = np.asarray(result.H)
+    if not np.isfinite(hessian).all():
+        return None
+    told = hessian - result.num_inliers * IN_PLANE * _of_points(source.points()[:, :3])
+    information, axes = np.linalg.eigh(0.5 * (told + told.T))
+    variances = settings.covariance_scale / np.maximum(information, LEAST)
+    floor = [settings.floor_rotation] * 3 + [settings.floor_translation] * 3
+    own = (axes * np.minimum(variances, LOOSEST**2)) @ axes.T
+    covariance: NDArray[np.float64] = own + np.diag(np.square(floor))
+    return covariance
+
+
+def _of_points(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Mean Hessian (6, 6) of pairs that are held alike in all directions; points (N, 3)."""
+    lever = gtsam.Rot3.Hat(points.mean(axis=0))
+    squares = points.T @ points / len(points)
+    mean = np.eye(6)
+    mean[:3, :3] = np.trace(squares) * np.eye(3) - squares
+    mean[:3, 3:], mean[3:, :3] = lever, -lever
+    return mean
+
+
+def carried(covariance: NDArray[np.float64], T_frame_scan: gtsam.Pose3) -> NDArray[np.float64]:
+    """The covariance (6, 6) of a motion to a scan, as that of the motion to another frame on it.
+
+    Args:
+        covariance: In the frame of the scan, rotation before translation.
+        T_frame_scan: The scan seen from the other frame, which moves with it.
+    """
+    adjoint = T_frame_scan.AdjointMap()
+    moved: NDArray[np.float64] = adjoint @ covariance @ adjoint.T
+    return moved
+
+
+def weak_directions(covariance: NDArray[np.float64]) -> int:
+    """In how many directions (of six at the most) a match is hardly held.
+
+    Args:
+        covariance: (6, 6), rotation before translation.
+    """
+    limits = ((covariance[:3, :3], WEAK_ROTATION), (covariance[3:, 3:], WEAK_TRANSLATION))
+    return sum(int((np.linalg.eigvalsh(part) > limit**2).sum()) for part, limit in limits)
