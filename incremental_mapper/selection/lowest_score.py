@@ -105,7 +105,7 @@ class _Selection:
     def run(self) -> Choice:
         clock, problem = self._clock, self._problem
         looked, cut = self._candidates()
-        pool = connected_candidates(problem, looked)
+        pool = connected_candidates(problem, looked, held_first=True)
         connected, found = pool.connected, pool.found
         cut |= pool.limited
         clock.lap('candidates')

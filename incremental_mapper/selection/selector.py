@@ -41,22 +41,27 @@ def all_candidates(problem: WindowProblem) -> list[Candidate] | None:
     return list(candidates(problem.elements, problem.head, problem.imu))
 
 
-def connected_candidates(problem: WindowProblem, looked: Sequence[Candidate]) -> Pool:
+def connected_candidates(
+    problem: WindowProblem, looked: Sequence[Candidate], held_first: bool = False
+) -> Pool:
     """Filter candidates by union-find, before anything is solved.
 
     Args:
         problem: The window; its ``limit`` keeps the least shifted candidates only.
         looked: What was enumerated or found.
+        held_first: Whether one with a cluster that hangs on weak matches may win only if all have
+            one.
 
     Returns:
         The candidates that may win. Where ``may_merge`` is off, those that merge may do so only
-        if no other is connected; those with a cluster that hangs on weak matches only if all have.
+        if no other is connected.
     """
     eligible = [item for item in looked if not problem.unconnected(item)]
     connected, found = set(map(id, eligible)), len(eligible)
     if not problem.may_merge:
         eligible = [item for item in eligible if not item.merges] or eligible
-    eligible = [item for item in eligible if problem.held(item)] or eligible
+    if held_first:
+        eligible = [item for item in eligible if problem.held(item)] or eligible
     limit = problem.limit
     limited = limit is not None and len(eligible) > limit
     if limited:

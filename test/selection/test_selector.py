@@ -165,13 +165,14 @@ def test_a_cluster_on_weak_matches_alone_is_the_last_resort():
         problem, partitions=Partitions(problem.inputs.prepared, problem.inputs.frontier)
     )
     every = all_candidates(problem)
-    pool = connected_candidates(problem, every)
+    pool = connected_candidates(problem, every, held_first=True)
     assert 0 < len(pool.eligible) < pool.found
     ends = [{link.end for link in item.connections} for item in pool.eligible]
     whole = [set(range(len(item.clusters))) for item in pool.eligible]
     assert ends == whole
+    assert len(connected_candidates(problem, every).eligible) == pool.found
     loose = [item for item in every if not item.connections]
-    assert connected_candidates(problem, loose).eligible == [
+    assert connected_candidates(problem, loose, held_first=True).eligible == [
         item for item in loose if not problem.unconnected(item)
     ]
 
