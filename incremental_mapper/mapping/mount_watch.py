@@ -58,7 +58,7 @@ class MountWatch:
             if mount is None or len(mount.moves) >= LAST:
                 continue
             if len(mount.moves) % CLOUDS == 0:
-                mount.clouds.append(item.thinned)
+                mount.clouds.append(item.thinned[:, :3])
             mount.moves.append(item.T_previous_current.translation())
             if len(mount.moves) >= mount.due:
                 mount.due *= 2
