@@ -42,10 +42,12 @@ class MountWatch:
         }
         self._imu_unplaced = 'T_base_sensor' not in config.imu.model_fields_set
         self._force = np.zeros(3)
+        self.wanted = bool(self._mounts)
+        """Whether there are any."""
 
     def sample(self, sample: ImuSample) -> None:
-        """Take in the IMU's acceleration."""
-        if self._mounts and np.isfinite(sample.acceleration).all():
+        """Take in the IMU's acceleration, where it is wanted."""
+        if np.isfinite(sample.acceleration).all():
             self._force += sample.acceleration
 
     def matches(self, prepared: Sequence[Prepared]) -> list[Finding]:
