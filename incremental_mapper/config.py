@@ -79,6 +79,8 @@ class Sensor(Section):
 class LidarSensor(Sensor):
     """A LiDAR."""
 
+    scale: float = Field(default=1.0, gt=0.0, le=1e6, allow_inf_nan=False)
+    """Factor that makes metres of x, y and z: 0.3048 where they are in feet."""
     sectors: bool = False
     """Its clouds are parts of a sweep, to be gathered into whole ones; a bag shows it by itself."""
 
