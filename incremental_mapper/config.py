@@ -79,6 +79,8 @@ class Sensor(Section):
 class LidarSensor(Sensor):
     """A LiDAR."""
 
+    scale: float = Field(default=1.0, gt=0.0, le=1e6, allow_inf_nan=False)
+    """Factor that makes metres of x, y and z: 0.3048 where they are in feet."""
     sectors: bool = False
     """Its clouds are parts of a sweep, to be gathered into whole ones; a bag shows it by itself."""
 
@@ -284,9 +286,10 @@ class SelectionSettings(Section):
     """A window with more candidates than this is searched instead of enumerated."""
     beam_width: int = Field(default=8, ge=1, le=1000)
     """Prefixes of every length that the search follows (mom, min_solver_error)."""
-    time_budget: float = Field(default=0.4, gt=0.0, le=600.0)
-    """Seconds that the search of one window may follow prefixes; half as many again may go into
-    changing single decisions of the best candidates."""
+    time_budget: float = Field(default=0.5, gt=0.0, le=6000.0)
+    """Share of a window's duration (``window.duration``) that its search may take to follow
+    prefixes; half as much again may go into changing single decisions of the best candidates. With
+    0.5 a window that is searched is done before the next one closes."""
     tie_confidence: float = Field(default=0.0, ge=0.0, lt=1.0)
     """Candidates of mom tie unless one is better at this confidence (paired over the query points);
     of those that tie the smallest graph wins whose factors and rotations agree as well. 0 takes the

@@ -8,7 +8,7 @@ import math
 from collections import Counter
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,8 @@ Drops: TypeAlias = Counter[tuple[str, str]]
 """How many measurements were not used, by (sensor, reason)."""
 
 NANOSECONDS = 1_000_000_000
+LARGEST_INTENSITY = 1e9
+"""What is beyond is no measure of light, and would drown what it is averaged with."""
 NO_VERTICAL_SIGMA = 1e4
 """Metres; standard deviation of the vertical of a fix that has none. So large that an hour of such
 fixes at 10 Hz still holds the height less than 50 m would."""
@@ -52,6 +54,7 @@ class LidarScan:
 
     ``points`` is (N, 3) in metres, in the LiDAR's own frame, all finite, N >= 1.
     ``point_times`` is (N,) seconds relative to ``stamp`` where the sensor tells, else None.
+    ``intensities`` is (N,), finite, in the sensor's own unit, None where it measures none.
     """
 
     stamp: int
@@ -59,6 +62,7 @@ class LidarScan:
     points: Points
     point_times: NDArray[np.float32] | None = None
     remarks: tuple[Remark, ...] = ()
+    intensities: NDArray[np.float32] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,6 +110,7 @@ def make_scan(
     points: NDArray[np.floating],
     point_times: NDArray[np.floating] | None = None,
     min_points: int = 1,
+    intensities: NDArray[Any] | None = None,
 ) -> LidarScan:
     """Build a scan; non-finite points and points at the sensor's origin are removed.
 
@@ -115,6 +120,8 @@ def make_scan(
         points: Raw points (N, 3) in the LiDAR's own frame, metres.
         point_times: Seconds (N,) after ``stamp``, where they are known.
         min_points: Fewest points that make a scan.
+        intensities: Numbers (N,) of any kind, in the sensor's own unit, where it measures them;
+            what is not finite, or absurd, counts as 0.
 
     Returns:
         The scan, in single precision.
@@ -140,17 +147,25 @@ def make_scan(
             f'{sensor} at {stamp}: {count} of {len(points)} points are usable, '
             f'{max(min_points, 1)} are needed',
         )
-    if count == len(points):
-        kept, times = points, point_times
-    else:
+    kept, times, light = points, point_times, intensities
+    if count < len(points):
         kept = points[keep]
         times = None if point_times is None else point_times[keep]
+        light = None if intensities is None else intensities[keep]
     return LidarScan(
         stamp=stamp,
         sensor=sensor,
         points=np.ascontiguousarray(kept, dtype=np.float32),
         point_times=None if times is None else np.ascontiguousarray(times, dtype=np.float32),
+        intensities=None if light is None else _plausible(light),
     )
+
+
+def _plausible(intensities: NDArray[Any]) -> NDArray[np.float32]:
+    """Intensities in single precision, 0 where they are none."""
+    with np.errstate(invalid='ignore', over='ignore'):  # signalling NaNs, large doubles
+        single = intensities.astype(np.float32)
+        return np.where(np.abs(single) <= LARGEST_INTENSITY, single, np.float32(0.0))
 
 
 def make_fix(

@@ -6,25 +6,27 @@ import shutil
 import signal
 import subprocess
 import tempfile
+import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from subprocess import DEVNULL
 
-import numpy as np
-from long_drive import RepeatedDrive
-from node_runs import PATIENCE, SEED, Drive, make_drive
+from long_drive import write_repeated
+from node_runs import PATIENCE, SEED, START, Drive, make_drive
 
+from incremental_mapper.config import Config
+from incremental_mapper.datasets.bags import SETTINGS_FILE
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.datasets.simulated.folder import simulate
 from incremental_mapper.datasets.simulated.options import MotionKind, SimulationOptions
-from incremental_mapper.measurements import NANOSECONDS, ImuSample
-from incremental_mapper.results.offline_run import effective_config
+from incremental_mapper.errors import InputError
+from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.results.run_folder import FILES, FinishedRun
-from incremental_mapper.ros.client import NodeClient, open_client
-from incremental_mapper.ros.inbox import Command, Order
+from incremental_mapper.ros.client import Heard, NodeClient, open_client
 from incremental_mapper.ros.programs import (
     free_domain,
     local_environment,
@@ -32,17 +34,17 @@ from incremental_mapper.ros.programs import (
     player_command,
     running,
 )
-from incremental_mapper.ros.updates import Reply, WindowUpdate
-from incremental_mapper.ros.worker import Worker
-from incremental_mapper.settings import merge
+from incremental_mapper.settings import read_yaml
 from robot_rows import Seen, row
 
 SECONDS = 12.0
 """Of the short drives."""
 ROUNDS, ROUND = 10, 60.0
 """Of the long drive: ten minutes."""
-WAITING = 20
-"""Scans that may wait while the long map is made as fast as it goes."""
+SETTLED = 15.0
+"""Seconds of driving before the save, with which the windows during it are compared."""
+GRACE = 5.0
+"""Seconds that ``ros2 launch`` gives a program after SIGINT, and after SIGTERM."""
 
 
 @dataclass(slots=True)
@@ -55,18 +57,27 @@ class Trial:
     environment: dict[str, str]
     log: Path
 
+    def player(self, *options: object) -> list[str]:
+        """The program that plays the drive."""
+        return player_command(self.drive.bag, '--wait', PATIENCE, *options)
+
     def play(self, *options: object) -> None:
         """Play the drive, and wait until it is mapped."""
-        command = player_command(self.drive.bag, '--wait', PATIENCE, *options)
         subprocess.run(
-            command,
-            env=self.environment,
-            check=True,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
+            self.player(*options), env=self.environment, check=True, stdout=DEVNULL, stderr=DEVNULL
         )
         time.sleep(1.0)
         self.client.call('flush', PATIENCE)
+
+    def catch_up(self) -> None:
+        """Wait until no scan waits for the mapper."""
+        while self.client.fresh_diagnostics(PATIENCE)['worker']['queue_core'] > 0:
+            pass
+
+    def try_save(self) -> None:
+        """Call save_map of a node that may end before it answers."""
+        with suppress(InputError):
+            self.client.call('save_map', PATIENCE)
 
     def limit_files(self, size: int) -> None:
         """No file of the node becomes larger from now on, as on a disk that is full."""
@@ -88,9 +99,9 @@ def short_drive() -> Drive:
 
 
 @contextmanager
-def trial(folder: Path, **parameters: object) -> Iterator[Trial]:
-    """A node that saves below ``folder``."""
-    drive = short_drive()
+def trial(folder: Path, drive: Drive | None = None, **parameters: object) -> Iterator[Trial]:
+    """A node that saves below ``folder``, for the short drive or another one."""
+    drive = drive or short_drive()
     environment = local_environment(domain := free_domain())
     given = {
         'diagnostics.period': 0.2,
@@ -231,63 +242,106 @@ def store_full(folder: Path) -> Seen:
     )
 
 
-@row('stood still for 5 s', long=True)
-def driving(folder: Path) -> Seen:
-    """save_map of a map of ten minutes while the drive goes on at 10 Hz."""
-    if not (folder / 'drive').exists():
-        options = SimulationOptions(motion=MotionKind.MIXED, duration=ROUND, seed=SEED)
-        simulate(folder / 'drive', options, None)
-    tree = {'save': {'folder': str(folder / 'saved')}, 'queue': {'core': 100_000}}
-    source = open_source(folder / 'drive', {})
-    config = effective_config(source, merge({}, tree), 'trial')
-    latest: dict[int, float] = {}
-    told: list[tuple[float, object]] = []
-    worker = Worker(config, lambda update: told.append((time.monotonic(), update)))
-    worker.start()
-    spans = [0.0]
-
-    def paced() -> None:
-        begin: tuple[float, int] | None = None
-        first: int | None = None
-        asked = False
-        for item in RepeatedDrive(source, ROUNDS).measurements():
-            first = item.stamp if first is None else first
-            passed = (item.stamp - first) / NANOSECONDS
-            if passed < (ROUNDS - 1) * ROUND:
-                while not isinstance(item, ImuSample) and worker.inbox.waiting()[0] > WAITING:
-                    time.sleep(0.005)
-            else:
-                if begin is None:
-                    while worker.inbox.waiting()[0]:
-                        time.sleep(0.01)
-                    begin = time.monotonic(), item.stamp
-                due = begin[0] + (item.stamp - begin[1]) / NANOSECONDS
-                time.sleep(max(due - time.monotonic(), 0.0))
-                latest[item.stamp] = time.monotonic()
-                if not asked and time.monotonic() - begin[0] > 20.0:
-                    asked = True
-                    spans[0] = time.monotonic()
-                    worker.inbox.put(Command(Order.SAVE, 1))
-            worker.inbox.put(item)
-
-    paced()
-    wait_until(lambda: any(isinstance(item, Reply) for _, item in list(told)), PATIENCE)
-    (answered, reply), *_ = [pair for pair in told if isinstance(pair[1], Reply)]
-    worker.begin_stop(60.0)
-    worker.join()
-    stamps = np.array(sorted(latest))
-    late: list[tuple[float, float]] = []
-    for when, update in told:
-        if isinstance(update, WindowUpdate) and update.result.end > stamps[0]:
-            place = np.searchsorted(stamps, update.result.end) - 1
-            late.append((when, when - latest[int(stamps[place])]))
-    before = [delay for when, delay in late if when < spans[0]]
-    during = [delay for when, delay in late if spans[0] <= when <= answered]
-    added = max(during) - max(before)
-    quantiles = [float(np.quantile(part, 0.5)) for part in (before, during)]
-    return Seen(
-        f'{reply.message} after {answered - spans[0]:.0f} s; windows came {quantiles[0]:.3f} s '
-        f'(worst {max(before):.3f}) after their end before it and {quantiles[1]:.3f} s (worst '
-        f'{max(during):.3f}) during it, of {config.window.duration:g} s each',
-        reply.success and added <= config.window.duration and complete(folder / 'saved'),
+def long_drive(folder: Path, rounds: int) -> Drive:
+    """A bag of so many minutes below ``folder``, as one drive."""
+    config = Path('config/kaist.yaml')
+    options = SimulationOptions(motion=MotionKind.MIXED, duration=ROUND, seed=SEED)
+    simulate(folder / 'minute', options, None)
+    write_repeated(folder / 'minute', folder / 'bag', rounds)
+    shutil.rmtree(folder / 'minute')
+    info = open_source(folder / 'bag', read_yaml(config)).info
+    return Drive(
+        folder / 'bag', (folder / 'bag' / SETTINGS_FILE, config), info.counts, info.duration
     )
+
+
+def save_while_driving(folder: Path, rounds: int) -> Seen:
+    """Map all rounds but the last as fast as it goes and the last in real time, and save in it.
+
+    Then the node is ended as ``ros2 launch`` does by default, in the middle of another save.
+    """
+    drive = long_drive(folder, rounds)
+    last = (rounds - 1) * ROUND
+    waiting = {'queue.core': 100_000, 'queue.imu': 1_000_000}
+    with trial(folder, drive, **waiting) as run:
+        run.play('--duration', last, '--rate', 30)
+        run.catch_up()
+        begin = len(run.client.odometry)
+        with running(run.player('--start', last), run.environment, DEVNULL, DEVNULL) as player:
+            wait_until(lambda: len(run.client.odometry) > begin, START)
+            time.sleep(SETTLED)
+            asked = time.monotonic_ns()
+            success, message = run.client.call('save_map', PATIENCE)
+            seconds = (time.monotonic_ns() - asked) / NANOSECONDS
+            answered = time.time_ns()
+            wait_until(lambda: player.poll() is not None, 2.0 * ROUND)
+        lags = window_lags(run.client.odometry[begin:])
+        before = [lag for sent, lag in lags if sent < answered - seconds * NANOSECONDS]
+        during = [lag for sent, lag in lags if answered - seconds * NANOSECONDS <= sent <= answered]
+        run.catch_up()
+        clusters = run.client.stats[-1]['clusters']
+        ended, stands = end_as_launch(run, folder)
+    whole = {name: complete(folder / name) for name in ('saved', 'saved_2', 'last')}
+    all_there = whole['last'] and len(FinishedRun(folder / 'last').graph['clusters']) >= clusters
+    added = max(during) - max(before)
+    duration = Config().window.duration
+    return Seen(
+        f'{message} after {seconds:.1f} s; windows came at most {max(before):.3f} s later than the '
+        f'earliest one before it, {max(during):.3f} s during it, of {duration:g} s each; then '
+        f'{ended}; the save under way and the last one stood {stands} after SIGINT; complete: '
+        f'{", ".join(name for name, ok in whole.items() if ok) or "none"}, '
+        f'{clusters} clusters {"all there" if all_there else "NOT all there"}',
+        success and added <= duration and all(whole.values()) and all_there,
+    )
+
+
+def window_lags(heard: Sequence[Heard]) -> list[tuple[int, float]]:
+    """When each window was published (ns), and how much later after its stamp than the earliest."""
+    stamps = [item.message.header.stamp for item in heard]
+    late = [
+        item.sent - stamp.sec * NANOSECONDS - stamp.nanosec
+        for item, stamp in zip(heard, stamps, strict=True)
+    ]
+    return [
+        (item.sent, (lag - min(late)) / NANOSECONDS) for item, lag in zip(heard, late, strict=True)
+    ]
+
+
+def end_as_launch(run: Trial, folder: Path) -> tuple[str, str]:
+    """SIGINT in the middle of a save, SIGTERM 5 s and SIGKILL 10 s later.
+
+    Returns:
+        What ended the node, and when the two maps stood.
+    """
+    call = threading.Thread(target=run.try_save, daemon=True)
+    call.start()
+    wait_until(lambda: savers(run.process.pid), START)
+    begin = time.monotonic()
+    ended = 'it ended by itself after SIGINT'
+    for number, name in (
+        (signal.SIGINT, ''),
+        (signal.SIGTERM, 'SIGTERM ended it'),
+        (signal.SIGKILL, 'it was killed'),
+    ):
+        ended = name or ended
+        run.process.send_signal(number)
+        if wait_until(lambda: run.process.poll() is not None, GRACE):
+            break
+    ended += f' after {time.monotonic() - begin:.1f} s'
+    stood = []
+    for name in ('saved_2', 'last'):
+        there = wait_until((folder / name).exists, PATIENCE)
+        stood.append(f'{time.monotonic() - begin:.1f} s' if there else 'never')
+    return ended, ' and '.join(stood)
+
+
+@row('stood still for 5 s; a larger map stayed in a hidden folder', long=True)
+def driving(folder: Path) -> Seen:
+    """save_map of a 10-minute map while driving; then SIGINT in a save, SIGTERM, SIGKILL."""
+    return save_while_driving(folder, ROUNDS)
+
+
+@row('the same', long=True)
+def driving_shorter(folder: Path) -> Seen:
+    """save_map of a 2-minute map while driving; then SIGINT in a save, SIGTERM, SIGKILL."""
+    return save_while_driving(folder, 2)

@@ -60,7 +60,7 @@ def shape_finding(sensor: str, shape: Shape) -> Finding | None:
     extent = float(np.hypot(*np.ptp(shape.local, axis=0)))
     if spread[1] / np.sqrt(len(shape.local)) < BENT or extent < LENGTH:
         return None
-    now = _misfit(_metres(shape.degrees), shape.local)
+    now = misfit(metres(shape.degrees), shape.local)
     least = MISFIT * extent + NOISE * shape.sigma
     if now < least:
         return None
@@ -68,9 +68,9 @@ def shape_finding(sensor: str, shape: Shape) -> Finding | None:
     causes = []
     if np.abs(longitude).max() <= 90.0:
         exchanged = np.stack([longitude, latitude], axis=1)
-        causes.append((_misfit(_metres(exchanged), shape.local), 'exchanged_degrees'))
+        causes.append((misfit(metres(exchanged), shape.local), 'exchanged_degrees'))
     signed = np.stack([latitude, -longitude], axis=1)
-    causes.append((_misfit(_metres(signed), shape.local), 'lost_sign'))
+    causes.append((misfit(metres(signed), shape.local), 'lost_sign'))
     left, rule = min(causes)
     if left > min(BETTER * now, least):
         return None
@@ -96,22 +96,29 @@ def without_consequences(before: Sequence[Finding], now: Sequence[Finding]) -> l
         before: What was found in earlier runs.
         now: What was found since.
     """
-    misshapen = any(finding.rule in ('exchanged_degrees', 'lost_sign') for finding in now)
+    causes = ('exchanged_degrees', 'lost_sign', 'gnss_clock', 'point_unit')
+    misshapen = any(finding.rule in causes for finding in now)
     return [one for one in before if not (misshapen and one.rule == 'optimistic_covariance')]
 
 
-def _metres(degrees: NDArray[np.float64]) -> NDArray[np.float64]:
-    """East and north (K, 2) of the first place."""
+def metres(degrees: NDArray[np.float64]) -> NDArray[np.float64]:
+    """East and north (K, 2) of the first of some places, latitude and longitude (K, 2)."""
     latitude, longitude = degrees.T
     east, north, _ = pymap3d.geodetic2enu(latitude, longitude, 0.0, *degrees[0], 0.0)
     return np.stack([east, north], axis=1)
 
 
-def _misfit(enu: NDArray[np.float64], local: NDArray[np.float64]) -> float:
-    """Root mean square of what is left (m) with the turn and the shift that fit best."""
+def misfit(enu: NDArray[np.float64], local: NDArray[np.float64], scaled: bool = False) -> float:
+    """Root mean square distance (m) of two tracks (K, 2) with the best turn and shift.
+
+    Args:
+        enu: One track.
+        local: The other, which is moved.
+        scaled: Whether its size may change too.
+    """
     a, b = enu - enu.mean(axis=0), local - local.mean(axis=0)
     # As complex numbers a turn is one factor of size 1.
     one, other = a[:, 0] + 1j * a[:, 1], b[:, 0] + 1j * b[:, 1]
     turn = np.vdot(other, one)
-    turn /= max(abs(turn), 1e-12)
+    turn /= max(np.vdot(other, other).real if scaled else abs(turn), 1e-12)
     return float(np.sqrt(np.mean(np.abs(one - turn * other) ** 2)))

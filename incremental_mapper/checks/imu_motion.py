@@ -114,7 +114,8 @@ class Comparison:
         self._first = int(first)
         columns = integrated(evidence.stamps, evidence.gyro).T
         grid = np.arange(first, last + 1) * STEP
-        self._integral = np.stack([np.interp(grid, moments, c) for c in columns], axis=1)
+        # One array for each axis: they are looked up by the ten thousand.
+        *self._integral, self._holes = (np.interp(grid, moments, column) for column in columns)
 
     def at(self, lag: float) -> Agreement | None:
         """Compare with ``lag`` seconds added to the IMU's stamps; None where hardly any match."""
@@ -123,7 +124,7 @@ class Comparison:
 
     def best(self) -> Agreement | None:
         """The lag of the highest correlation, whichever way the axes stand."""
-        most = round(min(MAX_LAG, LAG_SHARE * len(self._integral) * STEP) / STEP)
+        most = round(min(MAX_LAG, LAG_SHARE * len(self._holes) * STEP) / STEP)
         found = self._agreements(np.arange(-most, most + 1, COARSE))
         if not found:
             return None
@@ -154,7 +155,7 @@ class Comparison:
         """Which matches (L, N) the samples cover at lags of so many ``STEP``."""
         shift = steps[:, None] + self._first
         covered: NDArray[np.bool_] = self._low >= shift
-        covered &= self._high - shift < len(self._integral)
+        covered &= self._high - shift < len(self._holes)
         return covered
 
     def _agreements(
@@ -163,19 +164,23 @@ class Comparison:
         """Agreement at lags of so many ``STEP``, those with enough matches."""
         shift = steps[:, None] + self._first
         low, high = self._low - shift, self._high - shift
-        last = len(self._integral) - 1
         inside = self._inside(steps)
         if among is not None:
             inside &= among
-        span = self._integral[np.clip(high, 0, last)] - self._integral[np.clip(low, 0, last)]
-        inside &= span[:, :, 3] <= 0.0
+        if self._holes[-1] > self._holes[0]:
+            inside &= _between(self._holes, low, high) <= 0.0
         used = inside.astype(float)
-        imu = span[:, :, :3] * used[:, :, None]
-        products = np.einsum('ni,lnj->lij', self._turns, imu)
-        own, other = used @ (self._turns**2).sum(axis=1), (imu**2).sum(axis=(1, 2))
-        counts = inside.sum(axis=1)
-        left, sizes, right = np.linalg.svd(products)
-        sizes[:, 2] *= np.sign(np.linalg.det(left @ right))
+        whole = bool(inside.all())
+        products, other = np.zeros((len(steps), 3, 3)), np.zeros(len(steps))
+        for axis, integral in enumerate(self._integral):
+            turned = _between(integral, low, high)
+            if not whole:
+                turned *= used
+            products[:, :, axis] = turned @ self._turns
+            other += np.einsum('ln,ln->l', turned, turned)
+        own, counts = used @ (self._turns**2).sum(axis=1), inside.sum(axis=1)
+        sizes = np.linalg.svd(products, compute_uv=False)
+        sizes[:, 2] *= np.sign(np.linalg.det(products))
         best = sizes.sum(axis=1)
         straight = np.trace(products, axis1=1, axis2=2)
         norm = np.maximum(np.sqrt(own * other), 1e-30)
@@ -197,6 +202,12 @@ class Comparison:
             )
             for i in np.flatnonzero(counts >= fewest).tolist()
         ]
+
+
+def _between(sums: Array, low: NDArray[np.int64], high: NDArray[np.int64]) -> Array:
+    """Differences of running sums; places outside are those at the ends."""
+    between: Array = sums.take(high, mode='clip') - sums.take(low, mode='clip')
+    return between
 
 
 def smoothness(evidence: MotionEvidence) -> float:

@@ -195,7 +195,8 @@ def distance_findings(lidars: Sequence[Motions], track: Track) -> list[Finding]:
         found.append(
             Finding(
                 'distance_disagrees',
-                Severity.WARNING,
+                # Too little is read where matches slip; nothing makes them read too much.
+                Severity.ERROR if ratio > LONG else Severity.WARNING,
                 item.sensor,
                 f'its odometry reads {ratio:.2f} times the way that the fixes say, over '
                 f'{len(ratios)} stretches',

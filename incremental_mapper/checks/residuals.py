@@ -30,6 +30,8 @@ HOPELESS = 15.0
 5 s in all cases above it, 0.09 m at the most in all below."""
 
 
+OFF = 1.0
+"""Metres by which fixes may disagree with the solved graph all along, and the map still be one."""
 SMALL = {'gnss': 0.3}
 """Metres of which nothing is said, by kind, however small the deviations that a receiver tells:
 fixes of RTK wander by as much between houses."""
@@ -87,10 +89,11 @@ def _judge(group: Residuals, first: int) -> Finding | None:
         (int(group.stamps[index]) - first) / NANOSECONDS for index in (chosen[0], chosen[-1])
     )
     where = 'all along' if len(bad) == parts else f'in {len(bad)} of {parts} parts'
+    astray = group.kind == 'gnss' and overall > DOUBTFUL and np.median(group.metres) > OFF
     subject, cause = _words(group)
     return Finding(
         f'{group.kind}_misfit',
-        Severity.ERROR if overall > HOPELESS else Severity.WARNING,
+        Severity.ERROR if overall > HOPELESS or astray else Severity.WARNING,
         group.sensor,
         f'{subject} does not fit the other measurements {where}, from {start:.1f} s to '
         f'{end:.1f} s: it is off by {_size(group, chosen)}, '

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 from incremental_mapper.cli import exit_status
 from incremental_mapper.ros.arguments import read_own_arguments
+from incremental_mapper.ros.programs import INSTALL
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -24,8 +25,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if (error.name or '').split('.')[0] == 'incremental_mapper':
             raise
         print(
-            f'mapper_node: needs rclpy and messages, which cannot be imported ({error}); '
-            'pip install "incremental_mapper[ros]", or source a ROS 2 installation',
+            'mapper_node: needs rclpy and messages, which cannot be imported '
+            f'({error.__cause__ or error}); {INSTALL}',
             file=sys.stderr,
         )
         return exit_status.FAILURE

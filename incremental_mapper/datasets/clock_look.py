@@ -30,7 +30,7 @@ _IN_TURN = NANOSECONDS // 5
 _PASSES = 1_000_000
 """Nanoseconds from message to message, at least, where record times are of a recording."""
 _ALL = 2000
-"""Messages that are read of a bag without an index, from its beginning on."""
+"""Messages that are read of a bag without an index or record times, from its beginning on."""
 
 _COARSE = 40
 """Consecutive messages that are read where the first and the last ones have stamps that stand."""
@@ -191,10 +191,12 @@ class ClockLook:
 
     def _look(self) -> None:
         self.times = record_times(self._reader, list(self._sensors))
-        if len(self.times) < len(self._sensors):
+        every = list(self.times.values())
+        whole = np.sort(np.concatenate(every)) if every else np.zeros(0, dtype=np.int64)
+        # By one and the same record time only the first messages would be found, again and again.
+        if len(self.times) < len(self._sensors) or (len(whole) and whole[0] == whole[-1]):
             self._take(self._messages(list(self._sensors), None), _ALL)
             return
-        whole = np.sort(np.concatenate(list(self.times.values())))
         if not len(whole):
             return
         places = whole[np.linspace(0, len(whole) - 1, PLACES).astype(int)]

@@ -43,7 +43,13 @@ class _Field:
     count: int = 1
 
 
-_FIELDS = (_Field('offset_time', 6, 0), _Field('x', 7, 4), _Field('y', 7, 8), _Field('z', 7, 12))
+_FIELDS = (
+    _Field('offset_time', 6, 0),
+    _Field('x', 7, 4),
+    _Field('y', 7, 8),
+    _Field('z', 7, 12),
+    _Field('reflectivity', 2, 16),
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -54,7 +54,7 @@ def scan_from_message(
         min_points: usable points below which it is no scan.
 
     Returns:
-        The scan, with the points' times where the cloud has them.
+        The scan, with the points' times and intensities where the cloud has them.
 
     Raises:
         MeasurementError: the message is unusable; its ``reason`` says why.
@@ -65,7 +65,8 @@ def scan_from_message(
         table = cloud_table(message)
         points = table.xyz()
         times = point_times(table.points, stamp, points)
-        scan = make_scan(stamp + offset_ns, sensor, points, times.seconds, min_points)
+        light = table.intensities()
+        scan = make_scan(stamp + offset_ns, sensor, points, times.seconds, min_points, light)
         remarks = (*table.remarks, *times.remarks)
         return replace(scan, remarks=remarks) if remarks else scan
 

@@ -34,6 +34,9 @@ _FEWEST_JUDGED = 20
 
 _FLOAT32, _FLOAT64 = 7, 8
 
+INTENSITY_FIELDS = ('intensity', 'reflectivity', 'i')
+"""What drivers call it, the first one that is there counts; Ouster's have the first two."""
+
 
 @dataclass(frozen=True, slots=True)
 class _Field:
@@ -59,6 +62,13 @@ class CloudTable:
         """x, y, z, (N, 3) float32 metres; not filtered."""
         points = cloud_points(self.points)
         return points if self.scale == 1.0 else points * np.float32(self.scale)
+
+    def intensities(self) -> NDArray[Any] | None:
+        """Intensities (N,) as the message has them, None without such a field; not filtered."""
+        for name in INTENSITY_FIELDS:
+            if name in (self.points.dtype.names or ()):
+                return np.asarray(self.points[name])
+        return None
 
 
 def cloud_table(message: Any) -> CloudTable:
@@ -187,12 +197,15 @@ def cloud_points(table: NDArray[np.void]) -> Points:
 
 
 def _declared_fields(message: Any) -> list[_Field]:
-    """x, y, z and the times as the message declares them; other fields are skipped."""
+    """x, y, z, times, intensity as the message declares them; other fields are skipped."""
     fields: dict[str, _Field] = {}
+    known = ('x', 'y', 'z', *TIME_FIELDS, *INTENSITY_FIELDS)
     for field in message.fields:
-        if field.name not in ('x', 'y', 'z', *TIME_FIELDS) or field.name in fields:
+        if field.name not in known or field.name in fields:
             continue
         datatype = int(field.datatype)
+        if field.name in INTENSITY_FIELDS and not _readable(field, int(message.point_step)):
+            continue  # the points are of use without it
         if datatype not in _DATATYPES:
             raise MeasurementError(
                 'wrong_type', f'field {field.name!r} has datatype {field.datatype}, expected 1 to 8'
@@ -202,6 +215,13 @@ def _declared_fields(message: Any) -> list[_Field]:
     if missing:
         raise MeasurementError('missing_field', f'the cloud has no field {missing[0]!r}')
     return list(fields.values())
+
+
+def _readable(field: Any, point_step: int) -> bool:
+    """Whether a field has a type that is known and lies within a point."""
+    code = _DATATYPES.get(int(field.datatype))
+    offset = int(field.offset)
+    return code is not None and 0 <= offset <= point_step - np.dtype(code).itemsize
 
 
 def _layout(fields: list[_Field], point_step: int, bigendian: bool) -> np.dtype[np.void]:

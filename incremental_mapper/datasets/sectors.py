@@ -78,6 +78,8 @@ class SectorGatherer:
         last = sectors[-1].scan
         rate = self._rate(sectors)
         times = [_times(sector, last.stamp, rate) for sector in sectors]
+        light = [sector.scan.intensities for sector in sectors]
+        known = [part for part in light if part is not None]
         remarks: dict[str, Remark] = {}
         for sector in sectors:
             for remark in sector.scan.remarks:
@@ -86,6 +88,7 @@ class SectorGatherer:
             last,
             points=np.concatenate([sector.scan.points for sector in sectors]),
             point_times=np.concatenate(times),
+            intensities=np.concatenate(known) if len(known) == len(sectors) else None,
             remarks=tuple(remarks.values()),
         )
 

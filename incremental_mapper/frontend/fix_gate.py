@@ -9,7 +9,7 @@ wrong leave the graph.
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -72,6 +72,8 @@ class FixGate:
         lever_arm: NDArray[np.float64],
         method: OdometryMethod,
         fixed: Datum | None = None,
+        time_offset: float = 0.0,
+        scales: Mapping[str, float] = {},
     ) -> None:
         """Begin without a fix.
 
@@ -80,6 +82,8 @@ class FixGate:
             lever_arm: The antenna in base_link (3,), metres.
             method: How scans are matched.
             fixed: The datum where it is given; else the fixes tell it.
+            time_offset: Seconds that are added to their stamps already.
+            scales: What the points of each LiDAR are multiplied by already.
         """
         # Point-to-point matching reads 8 m of 14 m too little where a car speeds up.
         self._exact = method is OdometryMethod.GICP
@@ -98,7 +102,7 @@ class FixGate:
         self.suspicions: dict[str, Suspicion] = {}
         self.steps: list[DatumStep] = []
         self._recent: deque[Entry] = deque(maxlen=MEMBERS)  # all but frozen ones
-        self._shape = ShapeWatch(settings)
+        self._shape = ShapeWatch(settings, time_offset, scales)
 
     # --- what it is asked
 
@@ -138,7 +142,9 @@ class FixGate:
         return (*found, *far_datum(self.sensor, *self._farthest))
 
     def misshapen(self, last: bool = False) -> Finding | None:
-        """Whether the track of the fixes is not shaped as odometry's; asked now and then.
+        """Whether the track of the fixes is not odometry's in shape, size or time.
+
+        Asked now and then.
 
         Args:
             last: Whether no more will come.
@@ -195,6 +201,7 @@ class FixGate:
     def scan(self, scan: PreparedScan) -> None:
         """Follow odometry."""
         self._odometry.add(scan)
+        self._shape.pass_by(scan, self._odometry)
 
     def fix(self, fix: GnssFix, covariance: NDArray[np.float64]) -> Judged:
         """Judge the next fix.

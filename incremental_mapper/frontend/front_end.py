@@ -63,6 +63,8 @@ class FrontEnd:
             config.gnss.matrix()[:3, 3],
             config.odometry.method,
             fixed_datum(config.datum),
+            config.gnss.time_offset,
+            {name: lidar.scale for name, lidar in config.lidars.items()},
         )
         self.drops: Drops = Counter()
         self.notes: Counter[str] = Counter()  # what was used, but not in full

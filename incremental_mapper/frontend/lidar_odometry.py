@@ -19,7 +19,7 @@ from incremental_mapper.frontend.match_noise import WEAK, carried, weak_directio
 from incremental_mapper.frontend.preprocessing import STANDING, Sweep, Twist, deskew, to_base
 from incremental_mapper.frontend.registration import Match, make_matcher
 from incremental_mapper.measurements import NANOSECONDS, LidarScan
-from incremental_mapper.voxels import thin
+from incremental_mapper.voxels import thin, voxel_means
 
 MAX_SURPRISE = 1.5
 """Metres between two scans that a match may differ from steady motion: no car brakes like that."""
@@ -42,8 +42,9 @@ share of the matcher's voxels, or a coarse map would cost odometry."""
 class PreparedScan:
     """A scan with its odometry.
 
-    ``thinned`` (N, 3) are its points in base_link for the map, in the map's single precision,
-    ``sparse`` (M, 3) those for scoring, metres.
+    ``thinned`` (N, 3) are its points in base_link for the map, in the map's single precision; it
+    is (N, 4) with their intensities where the LiDAR measures them. ``sparse`` (M, 3) are the points
+    for scoring, metres.
     ``T_previous_current`` links it to the scan of the same LiDAR at ``previous``; both are None
     where there is no odometry. ``covariance`` (6, 6) is that of this motion, in the frame of the
     scan and in GTSAM's order, rotation before translation; None where the matcher does not tell.
@@ -108,12 +109,15 @@ class ScanPreparer:
                 f'within range, {FEWEST_PLACES} are the least',
             )
         link = self._chain.add(sweep)
-        coarser = self._map_voxel > self._voxel
-        thinned = thin(link.points, self._map_voxel) if coarser else link.points
+        rows = link.points.T
+        if sweep.intensities is not None:
+            rows = np.vstack([rows, sweep.intensities])
+        if self._map_voxel > self._voxel:
+            rows = voxel_means(rows, self._map_voxel)
         return PreparedScan(
             core=CoreMeasurement(scan.stamp, scan.sensor, CoreKind.LIDAR),
-            thinned=thinned.astype(np.float32, order='C'),
-            sparse=thin(thinned, self._sparse_voxel),
+            thinned=rows.T.astype(np.float32, order='C'),
+            sparse=thin(rows[:3].T, self._sparse_voxel),
             previous=link.previous,
             T_previous_current=link.T_previous_current,
             usable=link.usable,

@@ -51,6 +51,16 @@ class OdometryTrack:
         self._way = 0.0
         self._blind = 0.0
 
+    @property
+    def stamp(self) -> int | None:
+        """Stamp of the newest scan that led on, ns."""
+        return self._stamp
+
+    @property
+    def way(self) -> float:
+        """Metres that base_link has travelled until then."""
+        return self._way
+
     def add(self, scan: PreparedScan) -> None:
         """Go on with the next scan in time order."""
         sensor, stamp = scan.core.sensor, scan.core.stamp

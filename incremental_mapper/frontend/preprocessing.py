@@ -18,13 +18,14 @@ class Sweep:
     """A thinned scan in base_link; each point is where it was seen when it was fired.
 
     ``rows`` (3, N) are x, y, z in metres; ``times`` (N,) are seconds after the stamp, None where
-    they are not known or not wanted.
+    they are not known or not wanted; ``intensities`` (N,), None where there are none.
     """
 
     stamp: int
     sensor: str
     rows: NDArray[np.float64]
     times: NDArray[np.float64] | None = None
+    intensities: NDArray[np.float64] | None = None
 
     def __len__(self) -> int:
         return int(self.rows.shape[1])
@@ -60,8 +61,8 @@ def to_base(
 ) -> Sweep:
     """Move a scan into base_link and thin it; ranges, in metres, are from the LiDAR.
 
-    A thinned point has the mean time of the points that it stands for. Deskewing is linear in
-    the points and, within a voxel, in their times, so the point is deskewed to their mean.
+    A thinned point has the mean time and intensity of the points that it stands for. Deskewing is
+    linear in the points and, within a voxel, in their times, so it is deskewed to their mean.
     """
     # A float32 resolves 80 m to 8 um, the sensor resolves 2 mm.
     matrix = T_base_lidar.astype(np.float32)
@@ -70,10 +71,16 @@ def to_base(
         squares = (rows * rows).sum(axis=0)
     keep = np.flatnonzero((squares >= min_range**2) & (squares <= max_range**2))
     rows = rows.take(keep, axis=1) + matrix[:3, 3:]
-    if scan.point_times is None or not with_times:
-        return Sweep(scan.stamp, scan.sensor, voxel_means(rows, voxel_size))
-    means = voxel_means(np.vstack([rows, scan.point_times[keep]]), voxel_size)
-    return Sweep(scan.stamp, scan.sensor, means[:3], means[3])
+    times = scan.point_times if with_times else None
+    known = [values[keep] for values in (times, scan.intensities) if values is not None]
+    means = voxel_means(np.vstack([rows, *known]) if known else rows, voxel_size)
+    return Sweep(
+        scan.stamp,
+        scan.sensor,
+        means[:3],
+        None if times is None else means[3],
+        None if scan.intensities is None else means[-1],
+    )
 
 
 def deskew(sweep: Sweep, twist: Twist, moment: float) -> NDArray[np.float64]:

@@ -24,7 +24,7 @@ Whoever keeps scans on disk has no memory for all of them."""
 
 
 class StoredPoints(Protocol):
-    """Points (N, 3) float32 that may have to be fetched."""
+    """Points (N, C) float32 that may have to be fetched; x, y, z come first."""
 
     @property
     def nbytes(self) -> int:
@@ -38,7 +38,7 @@ class PointStore(Protocol):
     """Keeps points for as long as somebody holds what ``put`` returned."""
 
     def put(self, points: Points) -> StoredPoints:
-        """Keep points (N, 3)."""
+        """Keep points (N, C)."""
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -74,14 +74,14 @@ class MemoryStore:
 class _OnDisk:
     store: 'DiskStore'
     offset: int
-    count: int
+    shape: tuple[int, int]
 
     @property
     def nbytes(self) -> int:
-        return self.count * 12
+        return 4 * self.shape[0] * self.shape[1]
 
     def load(self) -> Points:
-        return self.store.read(self.offset, self.nbytes)
+        return self.store.read(self.offset, self.nbytes).reshape(self.shape)
 
 
 class DiskStore:
@@ -116,7 +116,7 @@ class DiskStore:
             self._reason = error.strerror or str(error)
             return self._put_elsewhere(points)
         self._end += len(data)
-        return _OnDisk(self, offset, len(points))
+        return _OnDisk(self, offset, (points.shape[0], points.shape[1]))
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -145,7 +145,7 @@ class DiskStore:
         return _InMemory(points[:0].copy())
 
     def read(self, offset: int, size: int) -> Points:
-        """The points (N, 3) that ``size`` bytes from ``offset`` on hold."""
+        """The numbers that ``size`` bytes from ``offset`` on hold."""
         parts: list[bytes] = []
         while size > 0:
             try:
@@ -156,7 +156,7 @@ class DiskStore:
                 raise OutputError('the map cannot be read back (its file is shorter than it was)')
             parts.append(part)
             offset, size = offset + len(part), size - len(part)
-        return np.frombuffer(b''.join(parts), dtype=np.float32).reshape(-1, 3)
+        return np.frombuffer(b''.join(parts), dtype=np.float32)
 
 
 def make_store(settings: MapSettings) -> PointStore:

@@ -26,7 +26,10 @@ class VoxelGrid:
     """Voxels with the mean of the points in each; takes points at any time.
 
     Adding costs as much as what is added: the table doubles when it is full. A voxel takes 32
-    bytes, and 8 to 16 in the table.
+    bytes, and 8 to 16 in the table, with intensity and without.
+
+    A voxel's intensity is the mean of those of its points that have one; a point without takes the
+    mean so far, so that one number holds it all. It is NaN where no point has any.
     """
 
     def __init__(
@@ -52,15 +55,18 @@ class VoxelGrid:
         self._corner = np.zeros(3) if corner is None else corner
         self._limits = (max_range * max_range, voxel_size, float(fullest))
         self._used = self._boxed = 0
+        self._columns = 3
         self._boxes = np.empty((0, 4), dtype=np.int32)
         self._make(max(room, 1))
 
     def add(self, points: NDArray[np.floating], transform: NDArray[np.float64]) -> None:
         """Add points (N, 3), metres, that ``transform`` (4, 4), T_map_points, places.
 
-        Points that are not finite are left out.
+        Points that are not finite are left out. Where they are (N, 4), the last column is their
+        intensity, NaN for those that have none; what is taken out has four columns from then on.
         """
         columns = np.require(points, np.float32, ('C', 'W'))  # one kind to compile for
+        self._columns = max(self._columns, columns.shape[1])
         wanted = self._used + len(columns)
         if wanted > len(self._cells):
             before = self._cells[: self._used]
@@ -76,18 +82,20 @@ class VoxelGrid:
     def points(self, without: 'VoxelGrid | None' = None) -> NDArray[np.float32]:
         """Mean points (M, 3), metres in the map, in the order of the voxels' first points.
 
-        Voxels that ``without`` has too are left out; it has the same corner and size.
+        They are (M, 4), intensity last, once any of the points had one. Voxels that ``without`` has
+        too are left out; it has the same corner and size.
         """
         cells = self._cells[: self._used]
         if without is not None:
             cells = cells[_absent(cells, without._table, without._cells)]
-        return _means(cells, cells.view(np.float32), self._corner, self._size)
+        sums = cells.view(np.float32)
+        return _means(cells, sums, self._corner, self._size, self._columns)
 
     def __len__(self) -> int:
         return self._used
 
     def near(self, centre: NDArray[np.float64], radius: float, most: int) -> NDArray[np.float32]:
-        """Mean points (M, 3) as ``points``, of voxels around a place in the plane.
+        """Mean points (M, 3 or 4) as ``points``, of voxels around a place in the plane.
 
         The cost is that of what lies around: stretches of voxels that came one after the other,
         as those of a drive do, are passed over as a whole where they are far off.
@@ -115,6 +123,7 @@ class VoxelGrid:
             count,
             self._corner,
             self._size,
+            self._columns,
         )
         return found
 
@@ -151,14 +160,15 @@ def mean_points(
     """One mean point per voxel of points that are all at hand.
 
     Args:
-        placed: points (N, 3) and the transform (4, 4) that places them, see ``VoxelGrid.add``.
+        placed: points (N, 3 or 4) and the transform (4, 4) that places them, see
+            ``VoxelGrid.add``.
         most: points in all, or a few more.
         corner: where a corner of a voxel lies, (3,), metres.
         voxel_size: side of a voxel, metres.
         max_range: see ``VoxelGrid``.
 
     Returns:
-        Points (M, 3), metres, in the order of the voxels' first points.
+        Points (M, 3 or 4), metres, in the order of the voxels' first points.
     """
     grid = VoxelGrid(voxel_size, corner, max_range, room=most)
     for points, transform in placed:
@@ -182,12 +192,15 @@ def _means(
     sums: NDArray[np.float32],
     corner: NDArray[np.float64],
     size: float,
+    columns: int,
 ) -> NDArray[np.float32]:
-    """Mean points (M, 3) of voxels, see _add."""
-    means = np.empty((len(cells), 3), dtype=np.float32)
+    """Mean points (M, 3) of voxels, see _add; with four ``columns`` the last is the intensity."""
+    means = np.empty((len(cells), columns), dtype=np.float32)
     for i in range(len(cells)):
         for k in range(3):
             means[i, k] = corner[k] + size * cells[i, k] + sums[i, 4 + k] / sums[i, 7]
+        if columns == 4:
+            means[i, 3] = sums[i, 3] / sums[i, 7]
     return means
 
 
@@ -266,14 +279,15 @@ def _means_near(
     count: int,
     corner: NDArray[np.float64],
     size: float,
+    columns: int,
 ) -> NDArray[np.float32]:
-    """Mean points (count, 3) of the voxels in the innermost rings.
+    """Mean points (count, 3 or 4) of the voxels in the innermost rings, see _means.
 
     ``around`` are the middle, the limit and the number of rings, see _count_rings.
     """
     middle, limit, kept = around
     scale = RINGS / (limit * limit)
-    means = np.empty((count, 3), dtype=np.float32)
+    means = np.empty((count, columns), dtype=np.float32)
     row = 0
     for start in range(0, len(cells), STRETCH):
         if _far_off(boxes, start // STRETCH, middle, limit):
@@ -283,6 +297,8 @@ def _means_near(
             if square <= limit * limit and min(int(square * scale), RINGS - 1) < kept:
                 for k in range(3):
                     means[row, k] = corner[k] + size * cells[i, k] + sums[i, 4 + k] / sums[i, 7]
+                if columns == 4:
+                    means[row, 3] = sums[i, 3] / sums[i, 7]
                 row += 1
     return means
 
@@ -341,17 +357,19 @@ def _add(
     sums: NDArray[np.float32],
     used: int,
 ) -> int:
-    """Add ``points`` (N, 3) to the sums of their voxels.
+    """Add ``points`` (N, 3 or 4) to the sums of their voxels.
 
     ``limits`` are the square of the range, the size of a voxel, and the points after which a
     voxel takes no more. ``cells`` (M, 8) begin with the place of a voxel in the grid; ``sums``
-    (M, 8), the same memory, end with the sum of its points, from its own corner, and their
-    number. ``table`` says where a voxel stands, -1 for nowhere; ``used`` of them are taken, and
-    how many there are afterwards is returned.
+    (M, 8), the same memory, go on with the sum of its points' intensities, NaN as long as none has
+    any, and end with the sum of its points, from its own corner, and their number. ``table`` says
+    where a voxel stands, -1 for nowhere; ``used`` of them are taken, and how many there are
+    afterwards is returned.
     """
     mask = np.uint64(len(table) - 1)
     t, (furthest, size, fullest) = transform, limits
     scale = 1.0 / size
+    bright, unknown, one = points.shape[1] == 4, np.float32(np.nan), np.float32(1.0)
     for i in range(len(points)):
         u, v, w = float(points[i, 0]), float(points[i, 1]), float(points[i, 2])
         x = t[0, 0] * u + t[0, 1] * v + t[0, 2] * w + (t[0, 3] - corner[0])
@@ -369,6 +387,7 @@ def _add(
                 place = used
                 table[slot] = place
                 cells[place, 0], cells[place, 1], cells[place, 2] = p, q, r
+                sums[place, 3] = np.nan
                 for k in range(4, 8):
                     sums[place, k] = 0.0
                 used += 1
@@ -381,5 +400,11 @@ def _add(
         sums[place, 4] += x - a * size
         sums[place, 5] += y - b * size
         sums[place, 6] += z - c * size
-        sums[place, 7] += 1.0
+        light, number = sums[place, 3], sums[place, 7]
+        own = points[i, 3] if bright else unknown
+        if own == own:  # it has one, and stands for those before it that had none
+            sums[place, 3] = light + own if light == light else own * (number + one)
+        elif light == light:
+            sums[place, 3] = light + light / number
+        sums[place, 7] = number + one
     return used

@@ -42,7 +42,7 @@ NEWEST = 600
 """Matches of each LiDAR that a look at a growing map takes in: a minute at 10 Hz."""
 THINNED = 3
 """Of so many matches, or IMU spans, one is judged: medians of 5 s have enough of them."""
-GROUND_LOOKS = 3
+GROUND_LOOKS = 2
 """Looks for the ground under a growing map; extrinsics do not change."""
 ROTATION = {FactorKind.ODOMETRY: slice(0, 3), FactorKind.IMU: slice(0, 3)}
 TRANSLATION = {
@@ -239,6 +239,9 @@ class FitWatch:
     _found: dict[tuple[str, str], Finding] = field(default_factory=dict)
     _next: int | None = None
     _matches: dict[str, deque[Match]] = field(default_factory=dict)
+    _matched: int = 0
+    _enough: int = 0
+    _driven: list[Finding] = field(default_factory=list)
     _clouds: dict[str, list[NDArray[np.float32]]] = field(default_factory=dict)
     _before: int = 0
     _looked: int = 0
@@ -271,13 +274,18 @@ class FitWatch:
         self._count(state)
         for sensor, made in matches(state.factors[known:]).items():
             self._matches.setdefault(sensor, _newest()).extend(made)
+            self._matched += len(made)
         # Fixes of two periods, so that a receiver of 1 Hz has enough of them.
         older = (factor for factor in state.factors[before:known] if factor.kind is FactorKind.GNSS)
         recent = judged([*older, *state.factors[known:]])
         first = state.clusters[0].cluster.stamp
         with undisturbed() as found:
             fit = fit_findings(residuals(recent, _values(state, recent)), first)
-            found += causes(fit, motion_findings(motions(self._matches)))
+            if self._matched >= self._enough:
+                # Neither do these extrinsics change: twice the matches may say more.
+                self._enough = self._matched + min(self._matched, NEWEST)
+                self._driven = motion_findings(motions(self._matches))
+            found += causes(fit, self._driven)
             found += self._ground(state)
         self._found.update({(finding.rule, finding.sensor): finding for finding in found})
 

@@ -100,7 +100,7 @@ class Mapper:
         self.config = config
         self._strategy = find_strategy(config.selection.strategy)
         self._imu = ImuIntake(config.imu, config.preintegration.gravity)
-        self._scans = ScanIntake()
+        self._scans = ScanIntake(config.lidars)
         awaited = [name for name in sensors if name != 'imu' or config.imu.enabled]
         self._buffer = WindowBuffer(config.window, awaited, predict, prefer_usable(config))
         # Closed, and waiting for their scans or to be merged with the next.

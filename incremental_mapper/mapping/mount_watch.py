@@ -42,10 +42,12 @@ class MountWatch:
         }
         self._imu_unplaced = 'T_base_sensor' not in config.imu.model_fields_set
         self._force = np.zeros(3)
+        self.wanted = bool(self._mounts)
+        """Whether there are any."""
 
     def sample(self, sample: ImuSample) -> None:
-        """Take in the IMU's acceleration."""
-        if self._mounts and np.isfinite(sample.acceleration).all():
+        """Take in the IMU's acceleration, where it is wanted."""
+        if np.isfinite(sample.acceleration).all():
             self._force += sample.acceleration
 
     def matches(self, prepared: Sequence[Prepared]) -> list[Finding]:
@@ -58,7 +60,7 @@ class MountWatch:
             if mount is None or len(mount.moves) >= LAST:
                 continue
             if len(mount.moves) % CLOUDS == 0:
-                mount.clouds.append(item.thinned)
+                mount.clouds.append(item.thinned[:, :3])
             mount.moves.append(item.T_previous_current.translation())
             if len(mount.moves) >= mount.due:
                 mount.due *= 2

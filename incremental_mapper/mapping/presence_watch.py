@@ -1,5 +1,7 @@
 """When each sensor was there: the evidence of holes in a drive."""
 
+from collections.abc import Iterable, Sequence
+
 import numpy as np
 
 from incremental_mapper.checks.finding import Finding
@@ -9,8 +11,9 @@ from incremental_mapper.checks.time_spans import apart_findings
 from incremental_mapper.mapping.window_buffer import Window
 from incremental_mapper.measurements import NANOSECONDS
 
+_SILENCE = round(SILENCE * NANOSECONDS)
 _STEPS = 400
-"""Steps from message to message that tell what is usual."""
+"""Steps, or some more, from message to message that tell what is usual."""
 _HOLES = 1000
 """Holes that are kept of a sensor; who has more has lost most of it at either end."""
 
@@ -27,16 +30,19 @@ class _Seen:
         self.steps: list[float] = []
         self.holes: list[tuple[int, int]] = []
 
-    def take(self, stamp: int) -> None:
-        """Take the next stamp; one that is no newer than the last changes nothing."""
-        step = (stamp - self.last) / NANOSECONDS
-        if step <= 0.0:
-            return
-        if len(self.steps) < _STEPS:
-            self.steps.append(step)
-        if step > SILENCE and len(self.holes) < _HOLES:
-            self.holes.append((self.last, stamp))
-        self.last = stamp
+    def take(self, stamps: Iterable[int]) -> None:
+        """Take the next stamps; one that is no newer than the last changes nothing."""
+        last, learning = self.last, len(self.steps) < _STEPS
+        for stamp in stamps:
+            step = stamp - last
+            if step <= 0:
+                continue
+            if learning:
+                self.steps.append(step / NANOSECONDS)
+            if step > _SILENCE and len(self.holes) < _HOLES:
+                self.holes.append((last, stamp))
+            last = stamp
+        self.last = last
 
     def presence(self, sensor: str) -> Presence:
         """The sensor's holes by what is usual for it."""
@@ -58,14 +64,17 @@ class PresenceWatch:
 
     def window(self, window: Window) -> None:
         """Look at what a window holds; what was dropped before is not there."""
-        for sensor, items in (('', window.core), ('imu', window.imu)):
-            for item in items:
-                name = sensor or item.sensor
-                seen = self._seen.get(name)
-                if seen is None:
-                    seen = self._seen[name] = _Seen(item.stamp)
-                seen.take(item.stamp)
+        for item in window.core:
+            self._take(item.sensor, (item.stamp,))
+        if window.imu:
+            self._take('imu', [sample.stamp for sample in window.imu])
         self._newest = max(self._newest, window.end)
+
+    def _take(self, sensor: str, stamps: Sequence[int]) -> None:
+        seen = self._seen.get(sensor)
+        if seen is None:
+            seen = self._seen[sensor] = _Seen(stamps[0])
+        seen.take(stamps)
 
     def so_far(self) -> list[Finding]:
         """The same for a drive that goes on: looked at now and then, and not while it is young."""

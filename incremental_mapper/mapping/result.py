@@ -82,14 +82,15 @@ class MapResult:
                 the first one raises.
 
         Yields:
-            Points (N, 3) in base_link and T_map_base (4, 4) of every scan, metres.
+            Points (N, 3) in base_link, (N, 4) with intensity where the LiDAR measures it, and
+            T_map_base (4, 4) of every scan, metres.
 
         Raises:
             OutputError: A scan cannot be read back.
         """
         for scan in self.scans:
             try:
-                points = scan.points
+                points = scan.cloud
             except OutputError as error:
                 if unreadable is None:
                     raise
@@ -103,7 +104,7 @@ class MapResult:
         """``statistics`` as the keys of ``stats.json``."""
         return self.statistics.to_tree()
 
-    def points(
+    def cloud(
         self, settings: MapSettings, unreadable: list[str] | None = None
     ) -> NDArray[np.float32]:
         """The map, thinned to one mean point a voxel.
@@ -113,7 +114,8 @@ class MapResult:
             unreadable: See ``placed_scans``.
 
         Returns:
-            Points (N, 3) in the map, metres.
+            Points (N, 3) in the map, metres; (N, 4) with intensity where a LiDAR measures it, 0
+            for those that only other LiDARs saw.
         """
         return accumulate(self.placed_scans(unreadable), settings.voxel_size, settings.max_range)
 

@@ -1,9 +1,12 @@
-"""The LiDARs' scans without those that a driver repeats."""
+"""The LiDARs' scans in metres, without those that a driver repeats."""
 
 from collections import Counter
+from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
+from incremental_mapper.config import LidarSensor
 from incremental_mapper.measurements import Drops, LidarScan
 
 
@@ -15,18 +18,25 @@ class ScanIntake:
     without noise stands, nothing is lost with the copies.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, lidars: Mapping[str, LidarSensor] = {}) -> None:
+        """Make ready for the first scan.
+
+        Args:
+            lidars: The settings of each LiDAR, which tell what its points are multiplied by.
+        """
         self.drops: Drops = Counter()
+        self._scales = {name: one.scale for name, one in lidars.items() if one.scale != 1.0}
         self._last: dict[str, LidarScan] = {}
 
     def take(self, scan: LidarScan) -> LidarScan | None:
-        """Let a scan through; None where it repeats the one before under another stamp."""
+        """A scan in metres; None where it repeats the one before under another stamp."""
         last = self._last.get(scan.sensor)
         if last is not None and scan.stamp != last.stamp and _same(scan, last):
             self.drops[scan.sensor, 'repeated_cloud'] += 1
             return None
         self._last[scan.sensor] = scan
-        return scan
+        scale = self._scales.get(scan.sensor)
+        return scan if scale is None else replace(scan, points=scan.points * np.float32(scale))
 
 
 def _same(scan: LidarScan, last: LidarScan) -> bool:

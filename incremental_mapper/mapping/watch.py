@@ -70,7 +70,8 @@ class Watch:
             return
         # What ``_guarded`` does, without its cost for every sample of an IMU.
         try:
-            self._mounts.sample(measurement)
+            if self._mounts.wanted:
+                self._mounts.sample(measurement)
             for finding in self._imu.sample(measurement):
                 self.add(finding)
         except Exception as error:

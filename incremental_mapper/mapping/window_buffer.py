@@ -11,9 +11,11 @@ every sensor keeps to what was usual for it; a message that does not, and comes 
 was closed, is late.
 """
 
-from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections import Counter, deque
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
+from statistics import median_low
 
 from incremental_mapper.config import WindowSettings
 from incremental_mapper.mapping.pace import Pace
@@ -25,13 +27,25 @@ from incremental_mapper.measurements import (
     Measurement,
 )
 
-MAX_LEAP = 10 * NANOSECONDS
-"""A stamp that far ahead of all others is not believed at once, and one that far behind never."""
-LEAP_WITNESSES = 5
+LEAST_LEAP = NANOSECONDS
+"""A stamp that far ahead of all others, and more, is not believed at once: windows would be closed
+on those that are right."""
+LEAP_LATENESS, LEAP_STEPS = 2, 4
+"""So many times ``lateness``, or what the clock usually goes on by, are no leap either: sensors may
+come in that late, and keyframes of real recordings are seconds apart."""
+STEPS = 9
+"""Steps of the clock that tell what is usual."""
+FIRST = 5
+"""Measurements that tell what time it is."""
+LEAP_WITNESSES = 8
 """So many measurements in a row beyond a leap prove that the clock did move."""
-AGREEMENT = 60 * NANOSECONDS
-"""Witnesses of one leap are no further apart from each other than this; stray stamps are anywhere.
-Keyframes of real recordings come every few seconds."""
+AGREEMENT = 10 * NANOSECONDS
+"""Witnesses of one leap, at least, are no further apart from each other than this, or than a leap;
+stray stamps are anywhere."""
+MOST_SUSPECTS = 1000
+"""Measurements beyond a leap that wait for proof."""
+MAX_BEHIND = 10 * NANOSECONDS
+"""A stamp that far behind the first ones does not begin the windows."""
 PATIENCE = 3 * NANOSECONDS
 """A buffer that predicts waits so long for sensors that have never sent anything."""
 
@@ -83,7 +97,9 @@ class WindowBuffer:
         self._core: dict[tuple[int, str], CoreInput] = {}
         self._imu: dict[tuple[int, str], ImuSample] = {}
         self._newest: dict[str, int] = {}
-        self._leap: list[Measurement] = []
+        self._steps: deque[int] = deque(maxlen=STEPS)
+        self._suspects: list[Measurement] = []  # beyond a leap, in the order of arrival
+        self._in_a_row = 0  # of them, since a stamp was in time
         self._first: list[Measurement] | None = []  # None once the clock is known
         self._start: int | None = None
         self._first_start = 0  # of the whole grid
@@ -99,26 +115,19 @@ class WindowBuffer:
         """Take in one measurement; what cannot be used is counted in ``drops``."""
         if self._first is not None:
             self._first.append(measurement)
-            if len(self._first) >= LEAP_WITNESSES:
+            if len(self._first) >= FIRST:
                 self._set_clock()
             return
-        newest = max(self._newest.values(), default=measurement.stamp)
-        if measurement.stamp - newest > MAX_LEAP:
-            if self._leap and abs(measurement.stamp - self._leap[-1].stamp) > AGREEMENT:
-                self._reject_leap()
-            self._leap.append(measurement)
-            if len(self._leap) < LEAP_WITNESSES:
-                return
-            witnesses, self._leap = self._leap, []
-            first = min(witness.stamp for witness in witnesses)
-            self._newest = dict.fromkeys(self._newest, first)
-            for pace in self._paces.values():
-                pace.move(first)
-            for witness in witnesses:
-                self._insert(witness)
+        stamp = measurement.stamp
+        newest = max(self._newest.values(), default=stamp)
+        # What a leap is costs more to know than that this is none.
+        if stamp - newest > LEAST_LEAP and stamp - newest > self._leap(self._steps):
+            self._suspect(measurement)
             return
-        self._reject_leap()
-        if self._start is None and newest - measurement.stamp > max(MAX_LEAP, self._lateness):
+        self._in_a_row = 0
+        if stamp > newest and self._suspects:
+            self._refute(self._newest.keys())
+        if self._start is None and newest - stamp > max(MAX_BEHIND, self._lateness):
             # Nothing else would be late before the grid starts: it would start there.
             self.drops[measurement.sensor, 'stamp_leap'] += 1
             return
@@ -136,7 +145,9 @@ class WindowBuffer:
     def flush(self) -> list[Window]:
         """All that is left, as closed windows."""
         self._set_clock()
-        self._reject_leap()
+        if self._in_a_row > 1:  # nothing will come to refute them
+            self._believe([item for item in self._suspects if self._agree(item)])
+        self._refute({item.sensor for item in self._suspects})
         windows: list[Window] = []
         while True:
             window = self._next(None)
@@ -154,17 +165,69 @@ class WindowBuffer:
         first, self._first = self._first, None
         if not first:
             return
-        middle = sorted(item.stamp for item in first)[(len(first) - 1) // 2]
+        stamps = sorted(item.stamp for item in first)
+        middle = stamps[(len(first) - 1) // 2]
+        most = self._leap([after - before for before, after in pairwise(stamps)])
+        least = -max(MAX_BEHIND, self._lateness)
+        beyond = [item for item in first if item.stamp - middle > most]
         for item in first:
-            if not -max(MAX_LEAP, self._lateness) <= item.stamp - middle <= MAX_LEAP:
+            if item.stamp - middle < least:
                 self.drops[item.sensor, 'stamp_leap'] += 1
-            else:
+            elif item not in beyond:
                 self._insert(item)
+        for item in beyond:
+            self._suspect(item)
+        self._in_a_row = 0
 
-    def _reject_leap(self) -> None:
-        for suspect in self._leap:
-            self.drops[suspect.sensor, 'stamp_leap'] += 1
-        self._leap = []
+    def _leap(self, steps: Sequence[int]) -> int:
+        """Nanoseconds by which a stamp may be ahead of all others, by the usual steps of time."""
+        usual = median_low(steps) if steps else 0
+        return max(LEAST_LEAP, LEAP_LATENESS * self._lateness, LEAP_STEPS * usual)
+
+    def _suspect(self, measurement: Measurement) -> None:
+        """Hold what is beyond a leap, until enough others prove it or time goes on before it."""
+        if self._suspects and not self._agree(measurement):
+            self._in_a_row = 0
+        self._suspects.append(measurement)
+        self._in_a_row += 1
+        alike = [item for item in self._suspects if self._agree(item)]
+        own = [item for item in alike if item.sensor == measurement.sensor]
+        if self._in_a_row >= LEAP_WITNESSES:
+            self._believe(alike)
+            self._refute({item.sensor for item in self._suspects})
+        elif measurement.sensor not in self._newest and len(own) >= LEAP_WITNESSES:
+            # It has never been in time: its clock is another, and no stray stamps.
+            for item in own:
+                self._insert(item)
+            self._suspects = [item for item in self._suspects if item.sensor not in self._newest]
+        elif len(self._suspects) > MOST_SUSPECTS:
+            self.drops[self._suspects.pop(0).sensor, 'stamp_leap'] += 1
+
+    def _agree(self, item: Measurement) -> bool:
+        """Whether a measurement may be of the same leap as the last suspect."""
+        apart = abs(item.stamp - self._suspects[-1].stamp)
+        return apart <= max(AGREEMENT, self._leap(self._steps))
+
+    def _believe(self, witnesses: Sequence[Measurement]) -> None:
+        """All clocks moved on: none is waited for in the time that was leapt over."""
+        first = min(witness.stamp for witness in witnesses)
+        self._newest = dict.fromkeys(self._newest, first)
+        for pace in self._paces.values():
+            pace.move(first)
+        for witness in witnesses:
+            self._insert(witness)
+        self._suspects = [item for item in self._suspects if item not in witnesses]
+        self._in_a_row = 0
+
+    def _refute(self, sensors: Collection[str]) -> None:
+        """Leave out the suspects of some sensors: time goes on without them."""
+        kept = []
+        for suspect in self._suspects:
+            if suspect.sensor in sensors:
+                self.drops[suspect.sensor, 'stamp_leap'] += 1
+            else:
+                kept.append(suspect)
+        self._suspects = kept
 
     def _insert(self, measurement: Measurement) -> None:
         stamp, sensor = measurement.stamp, measurement.sensor
@@ -188,6 +251,9 @@ class WindowBuffer:
             self._core[key] = measurement
         if self._predict:
             self._learn(stamp, sensor)
+        newest = max(self._newest.values(), default=stamp)
+        if stamp > newest:
+            self._steps.append(stamp - newest)
         self._newest[sensor] = max(stamp, self._newest.get(sensor, stamp))
 
     def _learn(self, stamp: int, sensor: str) -> None:

@@ -61,11 +61,19 @@ class Drive:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Run:
-    """A mapped input: the result, the map's points (N, 3) in metres, and its statistics."""
+    """A mapped input: the result, the map (N, 3) in metres, and its statistics.
+
+    ``cloud`` is (N, 4), intensity last, where a LiDAR measures it; ``points`` are always (N, 3).
+    """
 
     result: MapResult
-    points: NDArray[np.float32]
+    cloud: NDArray[np.float32]
     statistics: RunStatistics
+
+    @property
+    def points(self) -> NDArray[np.float32]:
+        """The map's points (N, 3), metres."""
+        return self.cloud[:, :3]
 
 
 class MendError(Exception):
@@ -186,7 +194,7 @@ def map_into(
             return _map_once(drive, progress, stop, record, may_mend)
 
     run = _mending(drive, attempt)
-    write_result(folder, run.result, run.points, run.statistics.to_tree())
+    write_result(folder, run.result, run.cloud, run.statistics.to_tree())
     draw_result(folder, run.result, run.points, drive.truth)
     missing = left_out((FILE_NAME, 'pictures'))
     return run, [] if missing is None else [missing]
@@ -322,20 +330,20 @@ def _map_once(
         if interrupted:
             raise KeyboardInterrupt
         raise _nothing_used(source)
-    points = result.points(config.map)
+    cloud = result.cloud(config.map)
     errors = None if truth is None else trajectory_errors(result.trajectory, truth)
     info = source.info
     statistics = RunStatistics.of_run(
         result,
         source.drops,
         time.perf_counter() - started,
-        len(points),
+        len(cloud),
         InputFacts(str(info.path), info.kind, info.counts, drive.all_notes()),
         errors,
         interrupted,
         (*info.findings, *drive.mended),
     )
-    return Run(result, points, statistics)
+    return Run(result, cloud, statistics)
 
 
 def _nothing_used(source: Source) -> InputError:

@@ -86,7 +86,7 @@ def prepare_folder(folder: Path, force: bool) -> None:
 
 
 def write_result(
-    folder: Path, result: MapResult, points: NDArray[np.float32], stats: Mapping[str, Any]
+    folder: Path, result: MapResult, cloud: NDArray[np.float32], stats: Mapping[str, Any]
 ) -> None:
     """Write all data files of a run; pictures are not among them.
 
@@ -97,7 +97,7 @@ def write_result(
     Args:
         folder: An existing folder.
         result: What the mapper made.
-        points: The map (N, 3) in metres, in the map frame.
+        cloud: The map (N, 3) in metres, in the map frame, or (N, 4) with intensity.
         stats: The keys of ``stats.json``, see ``RunStatistics.to_tree``.
 
     Raises:
@@ -111,7 +111,7 @@ def write_result(
     for record in result.failed:
         _write(folder / record.name, partial(Path.write_bytes, data=record.data))
     _write(folder / STATISTICS, lambda path: _write_json(path, stats, indent=2))
-    _write(folder / MAP, lambda path: write_ply(path, points))
+    _write(folder / MAP, lambda path: write_ply(path, cloud))
 
 
 def draw_result(
@@ -119,7 +119,7 @@ def draw_result(
 ) -> None:
     """Write the pictures of a run, where they can be drawn.
 
-    Arguments are as in ``write_result``, and the true trajectory.
+    Arguments are as in ``write_result``; ``points`` are (N, 3), ``truth`` the true trajectory.
 
     Raises:
         OutputError: A file cannot be written.
@@ -165,7 +165,16 @@ class FinishedRun:
     @cached_property
     def points(self) -> NDArray[np.float64]:
         """The map (N, 3) in metres."""
-        return _read_points(self._path(MAP))
+        return self._cloud[:, :3].astype(np.float64)
+
+    @property
+    def intensities(self) -> NDArray[np.float32] | None:
+        """Intensities (N,) of ``points``; None where no LiDAR measured them."""
+        return self._cloud[:, 3] if self._cloud.shape[1] > 3 else None
+
+    @cached_property
+    def _cloud(self) -> NDArray[np.float32]:
+        return _read_cloud(self._path(MAP))
 
     @cached_property
     def fixes(self) -> NDArray[np.float64]:
@@ -284,8 +293,8 @@ def _write_g2o(path: Path, result: MapResult) -> None:
 
 def _write_json(path: Path, tree: Mapping[str, Any], indent: int | None = None) -> None:
     with path.open('w', encoding='utf-8') as file:
-        json.dump(tree, file, indent=indent, allow_nan=False)
-        file.write('\n')
+        # Not json.dump, which has no compiled writer: of a long drive it takes seconds.
+        file.write(json.dumps(tree, indent=indent, allow_nan=False) + '\n')
 
 
 def _write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
@@ -306,14 +315,15 @@ def _write(path: Path, write: Callable[[Path], object]) -> None:
         raise OutputError(f'{path}: cannot be written ({error.strerror})') from error
 
 
-def _read_points(path: Path) -> NDArray[np.float64]:
-    """Points (N, 3) of a map that ``map`` wrote; its layout is fixed.
+def _read_cloud(path: Path) -> NDArray[np.float32]:
+    """Points (N, 3 or 4) of a map that ``map`` wrote; its layout is fixed.
 
     By hand, because plyfile's licence (GPL) is not ours, and small_gicp's reader ends the process
     where a file is damaged.
     """
     head, end, body = path.read_bytes().partition(b'end_header\n')
     count = re.search(rb'^element vertex (\d+)$', head, flags=re.MULTILINE)
-    if not end or count is None or len(body) != 12 * int(count[1]):
+    columns = len(re.findall(rb'^property float ', head, flags=re.MULTILINE))
+    if not end or count is None or columns < 3 or len(body) != 4 * columns * int(count[1]):
         raise InputError(f'{path}: is damaged, or is no map that "incremental_mapper map" wrote')
-    return np.frombuffer(body, dtype='<f4').reshape(-1, 3).astype(np.float64)
+    return np.frombuffer(body, dtype='<f4').reshape(-1, columns)

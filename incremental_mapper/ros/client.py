@@ -8,15 +8,20 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any
 
-import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
-from nav_msgs.msg import Odometry
-from rclpy.context import Context
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from rclpy.node import Node
-from rclpy.qos import QoSProfile
-from rclpy.signals import SignalHandlerOptions
-from std_srvs.srv import Trigger
+try:
+    import rclpy
+    from diagnostic_msgs.msg import DiagnosticArray
+    from nav_msgs.msg import Odometry
+    from rclpy.context import Context
+    from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+    from rclpy.node import Node
+    from rclpy.qos import QoSProfile
+    from rclpy.signals import SignalHandlerOptions
+    from std_srvs.srv import Trigger
+except ImportError as error:
+    from incremental_mapper.ros.programs import without_ros
+
+    raise without_ros(error, __name__) from error
 
 from incremental_mapper.errors import InputError
 from incremental_mapper.measurements import NANOSECONDS

@@ -14,6 +14,7 @@ from incremental_mapper.compiled import waiting
 from incremental_mapper.config import Config
 from incremental_mapper.geometry import transform_points
 from incremental_mapper.graph.factors import Factor, FactorKind, pose_numbers
+from incremental_mapper.map.cloud import joined, with_known_light
 from incremental_mapper.map.voxel_grid import VoxelGrid, warm_up
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.measurements import NANOSECONDS
@@ -54,6 +55,7 @@ class LiveMap:
         with waiting():
             warm_up()  # no window need wait for the compiler
         self._mapper = mapper
+        self._bright = False  # whether any scan has intensities
         self._path: list[tuple[int, list[float]]] = []
         self._stride = 1
         self._restart()
@@ -88,6 +90,8 @@ class LiveMap:
     def points(self) -> NDArray[np.float32]:
         """The map (N, 3) in metres, a mean point a voxel; what is final comes before the lag.
 
+        It is (N, 4), intensity last, where a LiDAR measures it.
+
         It is bounded by ``map.display_points`` and ``map.display_radius``; what is in the lag is
         near the newest pose and comes first where not all have room.
         """
@@ -98,17 +102,19 @@ class LiveMap:
         new = moving.points(without=self._cloud)
         most, radius = settings.display_points, settings.display_radius
         if (most == 0 and radius == 0.0) or not state.clusters:
-            return np.concatenate([self._cloud.points(), new])
+            return with_known_light(joined([self._cloud.points(), new]))
         most = most or len(self._cloud) + len(new)
         if len(new) > most:
             new = new[:: -(-len(new) // most)]
         newest: NDArray[np.float64] = state.pose(state.clusters[-1].id).translation()
         old = self._cloud.near(newest, radius or np.inf, most - len(new))
-        return np.concatenate([old, new])
+        return with_known_light(joined([old, new]))
 
     def placed(self, scans: Iterable[PlacedScan]) -> NDArray[np.float64]:
-        """Points (N, 3) of scans in the map, metres."""
-        return np.concatenate([np.zeros((0, 3)), *map(self._placed, scans)])
+        """Points (N, 3) of scans in the map, metres; (N, 4) once any scan had intensities."""
+        clouds = [self._placed(scan) for scan in scans]
+        self._bright = self._bright or any(cloud.shape[1] == 4 for cloud in clouds)
+        return with_known_light(joined([np.zeros((0, 4 if self._bright else 3)), *clouds]))
 
     def path(self) -> PathView:
         """At most ``path.max_poses`` poses, the newest among them."""
@@ -169,12 +175,14 @@ class LiveMap:
         return VoxelGrid(size, max_range=settings.max_range, fullest=_FULLEST)
 
     def _add(self, grid: VoxelGrid, scan: PlacedScan) -> None:
-        grid.add(scan.points, self._pose(scan))
+        grid.add(scan.cloud, self._pose(scan))
 
     def _placed(self, scan: PlacedScan) -> NDArray[np.float64]:
-        points = scan.points
+        cloud = scan.cloud
+        points = cloud[:, :3]
         near = np.einsum('ij,ij->i', points, points) <= self._config.map.max_range**2
-        return transform_points(self._pose(scan), points[near].astype(np.float64))
+        kept = cloud[near].astype(np.float64)
+        return np.hstack([transform_points(self._pose(scan), kept[:, :3]), kept[:, 3:]])
 
     def _pose(self, scan: PlacedScan) -> NDArray[np.float64]:
         """T_map_base (4, 4) of a scan as it is estimated now."""

@@ -8,19 +8,24 @@ from collections.abc import Callable, Generator
 from itertools import count
 from typing import Any
 
-import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.clock import Clock, ClockType, JumpThreshold, TimeJump
-from rclpy.context import Context
-from rclpy.duration import Duration
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from rclpy.node import Node
-from rclpy.parameter import Parameter
-from rclpy.qos import QoSProfile
-from rclpy.signals import SignalHandlerOptions
-from rclpy.task import Future
-from std_srvs.srv import SetBool, Trigger
+try:
+    import rclpy
+    from diagnostic_msgs.msg import DiagnosticArray
+    from rclpy.callback_groups import ReentrantCallbackGroup
+    from rclpy.clock import Clock, ClockType, JumpThreshold, TimeJump
+    from rclpy.context import Context
+    from rclpy.duration import Duration
+    from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+    from rclpy.node import Node
+    from rclpy.parameter import Parameter
+    from rclpy.qos import QoSProfile
+    from rclpy.signals import SignalHandlerOptions
+    from rclpy.task import Future
+    from std_srvs.srv import SetBool, Trigger
+except ImportError as error:
+    from incremental_mapper.ros.programs import without_ros
+
+    raise without_ros(error, __name__) from error
 
 from incremental_mapper.config import Tree
 from incremental_mapper.errors import ConfigError, MapperError

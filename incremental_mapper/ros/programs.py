@@ -18,6 +18,7 @@ Output: TypeAlias = IO[str] | int | None
 
 NODE_NAME = 'incremental_mapper'
 """Name of the node that maps."""
+INSTALL = 'pip install "incremental_mapper[ros]", or source a ROS 2 installation'
 DOMAINS = range(1, 101)
 """Above 101 the ports may be taken by outgoing connections."""
 _FIRST_PORT, _PORTS_OF_A_DOMAIN = 7410, 250
@@ -80,6 +81,19 @@ def player_command(bag: Path, *options: object) -> list[str]:
     """``incremental_mapper play`` of a bag."""
     words = [sys.executable, '-m', 'incremental_mapper.cli.main', 'play', str(bag)]
     return words + [str(option) for option in options]
+
+
+def without_ros(error: ImportError, name: str) -> BaseException:
+    """What to raise where ROS cannot be imported.
+
+    Args:
+        error: What was raised.
+        name: The module's ``__name__``; a program ends with one line.
+    """
+    line = f'needs rclpy and messages, which cannot be imported ({error}); {INSTALL}'
+    if name == '__main__':
+        return SystemExit(f'{NODE_NAME}: {line}')
+    return ImportError(f'{name} {line}', name=error.name, path=error.path)
 
 
 @contextmanager

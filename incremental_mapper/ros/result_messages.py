@@ -17,12 +17,12 @@ from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Header
 
 from incremental_mapper.graph.factors import pose_numbers
+from incremental_mapper.map.cloud import CLOUD_FIELDS
 from incremental_mapper.mapping.newest_state import NewestState
 from incremental_mapper.mapping.odometry_frame import OdometryPose
 from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.ros.live_map import PathView
 
-POINT_STEP = 12
 UNKNOWN_VARIANCE = 1e6
 """Stands on the diagonal where the graph does not determine the pose, m^2 and rad^2."""
 WINDOW_PREFIX = 'window.'
@@ -109,7 +109,8 @@ def path_message(stamp: int, view: PathView, frame: str) -> Path:
 
 
 def cloud_message(stamp: int, points: NDArray[np.floating], frame: str) -> PointCloud2:
-    """Points (N, 3) in metres as x, y, z float32."""
+    """Points (N, 3) in metres as x, y, z float32, and intensity where they are (N, 4)."""
+    step = 4 * points.shape[1]
     # rclpy copies an array.array of bytes as a block and anything else element by element.
     data = array.array('B')
     data.frombytes(np.ascontiguousarray(points, dtype='<f4').reshape(-1).view(np.uint8).data)
@@ -119,11 +120,11 @@ def cloud_message(stamp: int, points: NDArray[np.floating], frame: str) -> Point
         width=len(points),
         fields=[
             PointField(name=name, offset=4 * index, datatype=PointField.FLOAT32, count=1)
-            for index, name in enumerate('xyz')
+            for index, name in enumerate(CLOUD_FIELDS[: points.shape[1]])
         ],
         is_bigendian=False,
-        point_step=POINT_STEP,
-        row_step=POINT_STEP * len(points),
+        point_step=step,
+        row_step=step * len(points),
         data=data,
         is_dense=True,
     )

@@ -113,16 +113,16 @@ def save_map(target: Target, snapshot: Snapshot) -> Saved:
     if not result.clusters:
         raise OutputError(EMPTY)
     unreadable: list[str] = []
-    points = result.points(snapshot.mapper.config.map, unreadable)
+    cloud = result.cloud(snapshot.mapper.config.map, unreadable)
     lost = _unreadable_finding(unreadable)
     findings = [*snapshot.findings, *lost]
     statistics = RunStatistics.of_run(
-        result, snapshot.drops, snapshot.wall, len(points), snapshot.facts, findings=findings
+        result, snapshot.drops, snapshot.wall, len(cloud), snapshot.facts, findings=findings
     )
     tree = replace(statistics, peak_rss_mb=snapshot.peak_rss_mb).to_tree()
     folder = target.folder.expanduser().absolute()
     place, trouble = _put(
-        folder, target, lambda scratch: write_result(scratch, result, points, tree)
+        folder, target, lambda scratch: write_result(scratch, result, cloud, tree)
     )
     missing = [finding.text for finding in lost]
     return Saved(place, '; '.join([trouble, *missing] if trouble else missing), statistics.warnings)

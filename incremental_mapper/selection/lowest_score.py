@@ -173,11 +173,15 @@ class _Selection:
         # The conventional graph takes part as well, first as in an enumeration: what is found is
         # never worse than it, and the map is judged at the same points.
         base = base_candidate(*window)
-        searched = beam_search(problem, self._make_criterion, width, settings.time_budget)
+        searched = beam_search(problem, self._make_criterion, width, self._seconds())
         found = [base, *(item for item in searched if item != base)]
         if all(problem.unconnected(item) for item in found):
             found += islice(by_time_shift(*window), settings.max_candidates)
         return found, True
+
+    def _seconds(self) -> float:
+        """How long the beam may take."""
+        return self._settings.time_budget * self._problem.config.window.duration
 
     def _propose(self, some: Sequence[Candidate]) -> list[Proposal]:
         """Solve connected candidates; what cannot be solved is left out."""
@@ -251,7 +255,7 @@ class _Selection:
         Returns what was tried. Ends half a time budget after the beam had to, at the latest.
         """
         problem = self._problem
-        until = self._clock.began + 1.5 * self._settings.time_budget
+        until = self._clock.began + 1.5 * self._seconds()
         seen = {proposal.candidate for proposal in self._proposals}
         added: list[Candidate] = []
         expanded: set[int] = set()

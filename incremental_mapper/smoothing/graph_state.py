@@ -52,6 +52,11 @@ class PlacedScan:
     @property
     def points(self) -> NDArray[np.float32]:
         """Points (N, 3) in base_link, metres; fetched from where the map keeps them."""
+        return self.cloud[:, :3]
+
+    @property
+    def cloud(self) -> NDArray[np.float32]:
+        """As ``points``, or (N, 4) with their intensities where the LiDAR measures them."""
         return self.stored.load()
 
 

@@ -139,3 +139,25 @@ def test_stamps_of_zero_without_record_times_are_told(tmp_path):
     assert 'record times tell nothing' in finding.text
     assert {m.sensor for m in source.measurements()} == {'points_left', 'points_right', 'gnss'}
     assert source.drops == {('imu', 'no_stamp'): 40}
+
+
+def test_without_record_times_the_whole_stretch_of_each_sensor_is_looked_at(tmp_path):
+    # By one record time only the first messages are found: the receiver alone begins that late.
+    path = tmp_path / 'bag'
+    with Writer2(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connections = {
+            name: writer.add_connection(name, kind, typestore=STORES[2])
+            for name, kind, *_ in SENSORS
+        }
+        events = [
+            (START + (phase + index * period + (300 if name == '/points_left' else 0)) * MS, name)
+            for name, kind, phase, period, count in SENSORS
+            for index in range(count)
+        ]
+        for stamp, name in sorted(events):
+            kind = connections[name].msgtype
+            data = bytes(STORES[2].serialize_cdr(message(kind, stamp, 2), kind))
+            writer.write(connections[name], 0, data)
+    source = open_source(path)
+    assert not [f for f in source.info.findings if f.rule == 'no_common_time']
+    assert {m.sensor for m in source.measurements()} >= {'points_left', 'points_right', 'imu'}

@@ -89,6 +89,35 @@ def test_fields_in_any_order_with_padding_everywhere():
     np.testing.assert_array_equal(scan_from_message(message, 'left').points, POINTS)
 
 
+@pytest.mark.parametrize('name', ['intensity', 'reflectivity', 'i'])
+@pytest.mark.parametrize('code', ['u1', 'u2', 'f4', 'f8'])
+@pytest.mark.parametrize('order', ['<', '>'])
+def test_intensity_is_read_whatever_it_is_called(name, code, order):
+    points = POINTS.copy()
+    points[1, 2] = np.nan  # goes, and its intensity with it
+    columns = xyz('f4', points) | {name: (code, [3, 5, 200, 0])}
+    scan = scan_from_message(cloud(columns, order, padding=3), 'left')
+    assert scan.intensities.dtype == np.float32
+    np.testing.assert_array_equal(scan.intensities, [3, 200, 0])
+    np.testing.assert_array_equal(scan.points, POINTS[[0, 2, 3]])
+
+
+def test_intensities_that_are_none_count_as_zero_and_cost_no_point():
+    absurd = ('f8', [np.nan, -np.inf, 1e300, 7.5])
+    scan = scan_from_message(cloud(xyz() | {'intensity': absurd}), 'left')
+    np.testing.assert_array_equal(scan.intensities, [0, 0, 0, 7.5])
+    np.testing.assert_array_equal(scan.points, POINTS)
+
+
+@pytest.mark.parametrize('change', [{'datatype': 77}, {'offset': 14}, {'offset': -1}])
+def test_field_of_intensity_that_cannot_be_read_costs_no_cloud(change):
+    message = cloud(xyz() | {'intensity': ('f4', [1, 2, 3, 4])})
+    vars(message.fields[3]).update(change)
+    scan = scan_from_message(message, 'left')
+    assert scan.intensities is None
+    np.testing.assert_array_equal(scan.points, POINTS)
+
+
 @pytest.mark.parametrize('kind', [bytes, bytearray, lambda d: np.frombuffer(d, np.uint8)])
 def test_any_buffer_is_taken(kind):
     message = cloud(xyz())

@@ -1,5 +1,7 @@
 """Sectors of a sweep become the sweep that they are of."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -57,6 +59,15 @@ def test_times_of_the_points_themselves_count_from_the_sweep():
     parts = [sector(0.628 * i, 0.628 * (i + 1), 10 * MS * i, own) for i in range(20)]
     sweep = gather(parts)[0]
     np.testing.assert_allclose(sweep.point_times.reshape(10, 50)[0], own - 0.09, atol=1e-6)
+
+
+def test_intensities_stay_with_their_points():
+    light = np.arange(50, dtype=np.float32)
+    parts = [replace(part, intensities=light + i) for i, part in enumerate(turning(10, 2))]
+    sweep = gather(parts)[0]
+    np.testing.assert_array_equal(sweep.intensities.reshape(10, 50)[4], light + 4)
+    parts[3] = replace(parts[3], intensities=None)
+    assert [sweep.intensities is None for sweep in gather(parts)] == [True, False]
 
 
 def test_lost_sectors_and_long_pauses():

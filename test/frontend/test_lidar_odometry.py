@@ -2,6 +2,7 @@
 
 import pickle
 from collections import Counter
+from dataclasses import replace
 
 import gtsam
 import numpy as np
@@ -203,6 +204,21 @@ def test_match_that_explains_too_little_of_a_scan_is_rejected():
     found += end.prepare((scan(0.1, room(seed=1) + np.array([45.0, 45.0, 10.0])),))
     assert [item.previous for item in found] == [None, None]
     assert end.notes == {'left: match rejected': 1}
+
+
+@pytest.mark.parametrize('voxel', [0.1, 3.0])
+def test_intensity_changes_nothing_else_and_comes_with_the_points_of_the_map(voxel):
+    tree = {'map': {'voxel_size': voxel}, 'odometry': {'voxel_size': 2.0}, 'lidars': {'left': {}}}
+    plain, bright = (ScanPreparer('left', make_config(tree), Counter()) for _ in range(2))
+    for seconds in (0.0, 0.1, 0.2):
+        given = scan(seconds, room())
+        height = given.points[:, 2] + np.float32(50.0)  # so that each point's is known
+        one, other = plain.prepare(given), bright.prepare(replace(given, intensities=height))
+        assert one.thinned.shape[1] == 3 and other.thinned.shape[1] == 4
+        assert np.array_equal(one.thinned, other.thinned[:, :3])
+        assert np.array_equal(one.sparse, other.sparse) and one.sparse.shape[1] == 3
+        assert other.thinned[:, 3] == pytest.approx(other.thinned[:, 2] + 50.0, abs=1e-3)
+        assert other.thinned.flags.c_contiguous and other.thinned.dtype == np.float32
 
 
 def test_scan_for_a_coarse_map_is_thinned_finely_enough_to_be_matched_first():

@@ -1,5 +1,7 @@
 """Points in base_link: within range, thinned, and with the motion undone."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from driven_room import EPOCH, room
@@ -48,6 +50,27 @@ def test_deskewing_thinned_points_is_thinning_deskewed_ones_to_a_few_millimetres
         mates = exact[(cells == cell).all(axis=1)]
         if len(mates):
             assert np.linalg.norm(point - mates.mean(axis=0)) < 0.005
+
+
+@pytest.mark.parametrize('with_times', [True, False])
+def test_thinned_points_have_the_mean_intensity_and_are_where_they_were_without(with_times):
+    rng = np.random.default_rng(5)
+    points, light = room(3000).astype(np.float32), rng.uniform(0, 255, 3000).astype(np.float32)
+    times = rng.uniform(-0.1, 0.0, 3000).astype(np.float32) if with_times else None
+    plain = LidarScan(EPOCH, 'left', points, times)
+    near, size = 2.0, 0.5
+    before = to_base(plain, np.eye(4), near, 80.0, size)
+    sweep = to_base(replace(plain, intensities=light), np.eye(4), near, 80.0, size)
+    assert before.intensities is None and np.array_equal(before.rows, sweep.rows)
+    assert (sweep.times is None) is (times is None)
+    assert times is None or np.array_equal(before.times, sweep.times)
+    kept = np.linalg.norm(points, axis=1) >= near
+    cells = np.floor(points[kept] * np.float32(1.0 / size))
+    own = np.floor(sweep.rows.T / size)
+    for cell, value in list(zip(own, sweep.intensities, strict=True))[::20]:
+        mates = light[kept][(cells == cell).all(axis=1)]
+        if len(mates):
+            assert value == pytest.approx(mates.mean(dtype=np.float64), rel=1e-6)
 
 
 @pytest.mark.parametrize(

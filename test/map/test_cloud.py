@@ -61,6 +61,31 @@ def test_scans_are_placed_by_their_poses():
     assert made[order[0]] == pytest.approx(wanted[order[1]], abs=2e-3)
 
 
+@pytest.mark.parametrize('chunk', [50, 10_000])
+def test_map_has_the_intensities_that_are_known_and_no_others(chunk, monkeypatch):
+    monkeypatch.setattr(cloud, 'CHUNK', chunk)
+    rng = np.random.default_rng(2)
+    dark, bright = scattered(400, 20.0, 3), scattered(400, 20.0, 4) + np.float32([60.0, 0, 0])
+    lit = np.column_stack([bright, rng.uniform(1.0, 200.0, 400).astype(np.float32)])
+    scans = [(dark[:200], np.eye(4)), (lit, np.eye(4)), (dark[200:], np.eye(4))]
+    made = cloud.accumulate(scans, 0.5)
+    plain = cloud.accumulate([(points[:, :3], pose) for points, pose in scans], 0.5)
+    assert made.shape[1] == 4 and np.isfinite(made).all()
+    assert np.array_equal(made[:, :3], plain)
+    assert ((made[:, 3] > 0.0) == (made[:, 0] > 30.0)).all()
+    assert made[made[:, 3] > 0.0, 3].min() >= 1.0 and made[:, 3].max() <= 200.0
+
+
+@pytest.mark.parametrize('columns', [3, 4])
+def test_file_has_the_columns_of_the_cloud(columns, tmp_path):
+    points = np.arange(5 * columns, dtype=np.float32).reshape(5, columns)
+    cloud.write_ply(tmp_path / 'map.ply', points)
+    head, _, body = (tmp_path / 'map.ply').read_bytes().partition(b'end_header\n')
+    names = [line.split()[-1].decode() for line in head.splitlines() if b'property' in line]
+    assert names == ['x', 'y', 'z', 'intensity'][:columns]
+    assert body == points.astype('<f4').tobytes()
+
+
 def test_points_out_of_range_and_not_finite_are_left_out():
     points = np.array([[3.0, 4.0, 0.0], [30.0, 40.0, 0.0], [np.nan, 1.0, 1.0]], dtype=np.float32)
     far = pose_matrix([500.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
@@ -79,6 +104,7 @@ def test_store_gives_back_what_was_put(kind, tmp_path):
     store = make_store(make_config({'map': {'store': kind, 'store_folder': str(tmp_path)}}).map)
     assert isinstance(store, DiskStore if kind == 'disk' else MemoryStore)
     clouds = [scattered(count, 20.0, count) for count in (100, 0, 1, 5000)]
+    clouds += [np.pad(points, ((0, 0), (0, 1)), constant_values=7.0) for points in clouds]
     stored = [store.put(points) for points in clouds]
     for points, kept in reversed(list(zip(clouds, stored, strict=True))):
         assert kept.nbytes == points.nbytes

@@ -54,6 +54,47 @@ def test_points_are_the_means_of_their_voxels_in_the_order_of_the_first(count, s
         assert point == pytest.approx(wanted[cell], abs=1e-5)
 
 
+@settings(deadline=None, max_examples=30)
+@given(st.integers(1, 3000), st.integers(0, 10_000), st.sampled_from([0.0, 0.5, 1.0]))
+def test_intensities_are_the_means_of_the_points_that_have_one(count, seed, known):
+    points = scattered(count, seed)
+    rng = np.random.default_rng(seed)
+    light = rng.uniform(0.0, 255.0, count).astype(np.float32)
+    light[rng.uniform(size=count) >= known] = np.nan
+    grid, plain = VoxelGrid(SIZE, room=50), VoxelGrid(SIZE, room=50)
+    for piece in np.array_split(np.column_stack([points, light]), 5):
+        grid.add(piece, np.eye(4))
+        plain.add(piece[:, :3], np.eye(4))
+    made = grid.points()
+    assert made.shape[1] == 4 and plain.points().shape[1] == 3
+    assert np.ascontiguousarray(made[:, :3]).tobytes() == plain.points().tobytes()
+    own = {}
+    for cell, value in zip(map(tuple, cells(points)), light.tolist(), strict=True):
+        own.setdefault(cell, []).append(value)
+    for cell, found in zip(map(tuple, cells(made[:, :3])), made[:, 3], strict=True):
+        values = np.array(own[cell])
+        if np.isnan(values).all():
+            assert np.isnan(found)
+        elif np.isnan(values).any():  # those that have none may weigh as others do
+            assert np.nanmin(values) - 1e-3 <= found <= np.nanmax(values) + 1e-3
+        else:
+            assert found == pytest.approx(values.mean(), rel=1e-5)
+    near = grid.near(np.zeros(2), np.inf, 10**6)
+    assert near.tobytes() == made.tobytes()
+
+
+def test_points_without_intensity_leave_that_of_the_others():
+    dark, bright = np.full((3, 3), 0.2), np.full((2, 4), 0.4)
+    bright[:, 3] = 100.0, 50.0
+    for order in ([dark, bright], [bright, dark], [bright[:1], dark, bright[:1]]):
+        grid = VoxelGrid(1.0)
+        for piece in order:
+            grid.add(piece, np.eye(4))
+        wanted = 100.0 if len(order) == 3 else None
+        (point,) = grid.points()
+        assert 50.0 <= point[3] <= 100.0 and (wanted is None or point[3] == wanted)
+
+
 def test_points_are_placed_before_they_are_sorted_into_voxels():
     points = scattered(2000, 1)
     grid = VoxelGrid(0.01, corner=np.array([20.0, -30.0, 0.0]))

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from incremental_mapper.config import LidarSensor
 from incremental_mapper.mapping.scan_intake import ScanIntake
 from incremental_mapper.measurements import make_scan
 
@@ -34,3 +35,14 @@ def test_one_other_point_makes_another_cloud():
 def test_the_same_message_twice_is_for_the_window_buffer():
     intake = ScanIntake()
     assert intake.take(scan(0, POINTS)) and intake.take(scan(0, POINTS))
+
+
+def test_points_are_scaled_to_metres_as_the_settings_say():
+    feet = LidarSensor(scale=0.3048)
+    intake = ScanIntake({'left': feet, 'right': LidarSensor()})
+    taken = intake.take(scan(0, POINTS / 0.3048))
+    assert taken is not None
+    np.testing.assert_allclose(taken.points, POINTS, rtol=1e-5)
+    untouched = scan(0, POINTS, 'right')
+    assert intake.take(untouched) is untouched
+    assert intake.take(scan(1, POINTS / 0.3048)) is None  # the copy is known by what was sent

@@ -1,9 +1,16 @@
 """The folder of a run: what lies in it before, and what becomes of that."""
 
+import numpy as np
 import pytest
 
-from incremental_mapper.errors import OutputError
-from incremental_mapper.results.run_folder import EXTRA_FILES, FILES, prepare_folder
+from incremental_mapper.errors import InputError, OutputError
+from incremental_mapper.map.cloud import write_ply
+from incremental_mapper.results.run_folder import (
+    EXTRA_FILES,
+    FILES,
+    FinishedRun,
+    prepare_folder,
+)
 
 RUN = (*FILES, *EXTRA_FILES, 'failed_window_12.npz')
 FOREIGN = ('notes.txt', 'failed_window_mine.txt', 'bag.mcap')
@@ -37,3 +44,19 @@ def test_without_force_nothing_is_touched(tmp_path):
     with pytest.raises(OutputError, match='--force'):
         prepare_folder(folder, force=False)
     assert names(folder) == set(RUN)
+
+
+@pytest.mark.parametrize('columns', [3, 4])
+def test_points_and_intensities_are_read_back(columns, tmp_path):
+    cloud = np.arange(6 * columns, dtype=np.float32).reshape(6, columns)
+    write_ply(tmp_path / 'map.ply', cloud)
+    run = FinishedRun(tmp_path)
+    assert np.array_equal(run.points, cloud[:, :3]) and run.points.dtype == np.float64
+    if columns == 3:
+        assert run.intensities is None
+    else:
+        assert np.array_equal(run.intensities, cloud[:, 3])
+    data = (tmp_path / 'map.ply').read_bytes()
+    (tmp_path / 'map.ply').write_bytes(data[:-1])
+    with pytest.raises(InputError, match='damaged'):
+        _ = FinishedRun(tmp_path).points

@@ -44,10 +44,11 @@ def test_live_map_is_what_would_be_saved_of_the_same_poses(followed):
     state, settings = mapper.state, mapper.config.map
     poses = [state.pose(scan.cluster).compose(scan.T_cluster_scan) for scan in state.scans]
     final = [not state.in_lag(scan.cluster) for scan in state.scans]
-    placed = [(scan.points, pose.matrix()) for scan, pose in zip(state.scans, poses, strict=True)]
+    placed = [(scan.cloud, pose.matrix()) for scan, pose in zip(state.scans, poses, strict=True)]
 
     def cells(points):
-        return [tuple(cell) for cell in np.floor(points / settings.voxel_size).astype(int)]
+        floor = np.floor(points[:, :3] / settings.voxel_size).astype(int)
+        return [tuple(cell) for cell in floor]
 
     def saved(chosen):
         return accumulate(chosen, settings.voxel_size, settings.max_range)
@@ -60,6 +61,15 @@ def test_live_map_is_what_would_be_saved_of_the_same_poses(followed):
     taken, whole = cells(points), set(cells(saved(placed)))
     assert len(set(taken)) > 0.999 * len(taken)  # a mean at a border rounds to either side
     assert len(whole ^ set(taken)) < 0.001 * len(whole)
+
+
+def test_increments_have_the_intensities_of_their_scans_from_the_first_one_on(followed):
+    mapper, live = followed
+    scans = mapper.state.scans[:2]
+    made = live.placed(scans)
+    light = np.concatenate([scan.cloud[:, 3] for scan in scans])
+    assert made.shape[1] == 4 and np.isin(made[:, 3], light).all() and np.ptp(light) > 0.0
+    assert live.placed([]).shape == (0, 4)
 
 
 def test_published_map_is_bounded_by_points_and_radius(followed, monkeypatch):

@@ -8,8 +8,13 @@ pytest.importorskip('rclpy', reason='rclpy is not installed (extra "ros")')
 
 from scipy.spatial.transform import Rotation
 
+from incremental_mapper.datasets.message_conversion import scan_from_message
 from incremental_mapper.mapping.newest_state import NewestState
-from incremental_mapper.ros.result_messages import odometry_message, ros_covariance
+from incremental_mapper.ros.result_messages import (
+    cloud_message,
+    odometry_message,
+    ros_covariance,
+)
 
 SECOND = 1_000_000_000
 
@@ -52,3 +57,14 @@ def test_twist_has_its_covariance_and_what_is_unknown_says_so():
     assert diagonal == pytest.approx([0.04] * 3 + [0.01] * 3)
     unknown = odometry_message(NewestState(SECOND, pose, None, still), 'map', 'base_link').twist
     assert np.diag(np.array(unknown.covariance).reshape(6, 6)) == pytest.approx(1e6)
+
+
+@pytest.mark.parametrize('columns', [3, 4])
+def test_cloud_has_intensity_where_the_points_have(columns):
+    points = np.random.default_rng(1).uniform(1.0, 9.0, (7, columns)).astype(np.float32)
+    message = cloud_message(SECOND, points, 'map')
+    assert [field.name for field in message.fields] == ['x', 'y', 'z', 'intensity'][:columns]
+    assert message.point_step == 4 * columns and message.row_step == 28 * columns
+    scan = scan_from_message(message, 'map')
+    assert np.array_equal(scan.points, points[:, :3])
+    assert columns == 3 or np.array_equal(scan.intensities, points[:, 3])
