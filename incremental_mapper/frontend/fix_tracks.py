@@ -260,4 +260,6 @@ def unseen(first: Place, second: Place) -> float:
 def _allowed(first: Entry, second: Entry, noise: float) -> float:
     """Metres by which two fixes may disagree with odometry."""
     way = second.place.way - first.place.way
-    return SLACK + NOISES * float(noise) + DRIFT * way + unseen(first.place, second.place)
+    loose = np.sqrt(second.place.loose - first.place.loose)
+    noise = float(noise + loose)
+    return SLACK + NOISES * noise + DRIFT * way + unseen(first.place, second.place)

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from incremental_mapper.frontend.lidar_odometry import PreparedScan
+from incremental_mapper.frontend.match_noise import weak_directions
 from incremental_mapper.measurements import NANOSECONDS
 
 
@@ -20,6 +21,7 @@ class Place:
         way: Metres that base_link has travelled since the start.
         blind: Seconds since the start for which there was no odometry.
         ahead: Seconds since the newest scan, over which the last motion goes on.
+        loose: Variance of the way since the start, m^2, where the scans held matches weakly.
     """
 
     stamp: int
@@ -27,6 +29,7 @@ class Place:
     way: float
     blind: float
     ahead: float
+    loose: float
 
 
 class OdometryTrack:
@@ -50,6 +53,7 @@ class OdometryTrack:
         self._twist = np.zeros(6)
         self._way = 0.0
         self._blind = 0.0
+        self._loose = 0.0
 
     @property
     def stamp(self) -> int | None:
@@ -72,6 +76,8 @@ class OdometryTrack:
             assert scan.T_previous_current is not None
             if self._leader in ('', sensor) or self._stamp <= before:
                 self._lead(sensor, before, stamp, pose, scan.T_previous_current)
+                if scan.covariance is not None and weak_directions(scan.covariance):
+                    self._loose += float(np.linalg.eigvalsh(scan.covariance[3:, 3:])[-1])
         elif sensor == self._leader:
             self._leader = ''
         if scan.usable:
@@ -97,6 +103,7 @@ class OdometryTrack:
             way=self._way + ahead * float(np.linalg.norm(self._twist[3:])),
             blind=self._blind,
             ahead=ahead,
+            loose=self._loose,
         )
 
     def _at(self, stamp: int) -> gtsam.Pose3:

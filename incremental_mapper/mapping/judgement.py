@@ -26,7 +26,7 @@ from incremental_mapper.checks.motions import (
 from incremental_mapper.checks.outcome import Outcome
 from incremental_mapper.checks.residuals import Residuals, fit_findings
 from incremental_mapper.config import Config
-from incremental_mapper.frontend.match_noise import WEAK
+from incremental_mapper.frontend.match_noise import WEAK, weak_directions
 from incremental_mapper.graph.factors import Factor, FactorKind
 from incremental_mapper.mapping.statistics import Totals
 from incremental_mapper.measurements import NANOSECONDS
@@ -120,11 +120,17 @@ Match = tuple[int, int, NDArray[np.float64]]
 
 
 def matches(factors: Iterable[Factor]) -> dict[str, list[Match]]:
-    """The matches of each LiDAR, in the order of the factors."""
+    """The matches of each LiDAR, in the order of the factors.
+
+    Those that the scans hold weakly are left out: where they say that the car went tells nothing of
+    how the LiDARs stand on it.
+    """
     found: dict[str, list[Match]] = {}
     for factor in factors:
         if factor.kind is FactorKind.ODOMETRY:
             measured: Any = factor.factor
+            if weak_directions(measured.noiseModel().covariance()):
+                continue
             start, end = factor.stamps
             moved = (start, end, measured.measured().translation())
             found.setdefault(factor.sensor or '', []).append(moved)

@@ -29,6 +29,7 @@ class Drive:
     def __init__(self, speed=SPEED, method=OdometryMethod.GICP, fixed=None):
         self.gate = FixGate(GnssSettings(), np.zeros(3), method, fixed)
         self.speed = speed
+        self.covariance = None
         self.scans = 0
         self.used, self.doubtful, self.refused, self.gone = {}, set(), {}, set()
         self.rng = np.random.default_rng(1)
@@ -42,7 +43,10 @@ class Drive:
         step = self.way(self.scans / 10) - self.way((self.scans - 1) / 10)
         motion = gtsam.Pose3(gtsam.Rot3(), np.array([step, 0, 0])) if self.scans else None
         core = CoreMeasurement(stamp, 'left', CoreKind.LIDAR)
-        self.gate.scan(PreparedScan(core, np.zeros((1, 3)), np.zeros((1, 3)), previous, motion))
+        nowhere, covariance = np.zeros((1, 3)), self.covariance if previous else None
+        self.gate.scan(
+            PreparedScan(core, nowhere, nowhere, previous, motion, covariance=covariance)
+        )
         self.scans += 1
 
     def fix(self, number, seconds, off, noise=0.02, again=None):
@@ -224,6 +228,17 @@ def test_matcher_that_reads_hardly_any_motion_does_not_make_sound_fixes_jumps():
     for i in range(10):
         drive.fix(i, float(i), np.zeros(3))
     assert not drive.refused and not drive.doubtful and not drive.gate.findings()
+
+
+@pytest.mark.parametrize(('sigma', 'loose'), [(0.3, True), (0.03, False)])
+def test_matches_that_the_scans_hold_weakly_make_no_fix_a_jump(sigma, loose):
+    drive = Drive()
+    for i in range(20):
+        # The fixes creep away from the matches by 2.5 m a second, now here, now there.
+        aside = [0.0, 2.5 * (i % 3), 0.0]
+        drive.covariance = np.diag([1e-5] * 3 + [sigma**2] * 2 + [1e-4])
+        drive.fix(i, float(i), np.asarray(aside))
+    assert (not drive.refused and not drive.gone) is loose
 
 
 def test_fixes_without_any_odometry_are_used():
