@@ -31,6 +31,8 @@ SECONDS = 40.0
 KINDS = {'imu': Imu, 'gnss': NavSatFix}
 RELIABLE = QoSProfile(depth=500, reliability=ReliabilityPolicy.RELIABLE)
 HOUR = 3600.0
+WARM_UP = 20
+"""Windows after which a user may count on the latency."""
 _KEPT: list[TemporaryDirectory[str]] = []
 
 
@@ -205,7 +207,8 @@ def latency(folder: Path) -> Seen:
     """Latency to ~/odometry from the window's last message, KAIST rates, a fix a second."""
     seen = live(folder, messages())
     p50, p99 = np.percentile(seen.latencies, [50, 99])
-    start, rest = seen.latencies[:20], seen.latencies[20:]
+    # Two seconds, in which the periods of the sensors are learnt and the map is laid into ENU.
+    start, rest = seen.latencies[:WARM_UP], seen.latencies[WARM_UP:]
     steady = float(np.percentile(rest, 99))
     source = open_source(drive().bag, read_all())
     result = map_source(source, effective_config(source, read_all(), 'settings')).result
@@ -214,7 +217,7 @@ def latency(folder: Path) -> Seen:
     late = seen.parts['worker']['late_but_used']
     return Seen(
         f'{len(seen.latencies)} windows: p50 {p50:.0f} ms, p99 {p99:.0f} ms; p99 {steady:.0f} ms '
-        f'without the first {len(start)}, in which the pace of the sensors is learnt; '
+        f'without the first {len(start)}, the worst of which took {max(start):.0f} ms; '
         f'{seen.lost} lost, left out: {dropped(seen)}, {late} late but used; '
         f'graph of map: {same if same else "the same"}',
         bool(p50 <= 80 and steady <= 150 and seen.lost == 0 and not same),

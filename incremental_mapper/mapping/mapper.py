@@ -102,12 +102,13 @@ class Mapper:
         self._imu = ImuIntake(config.imu, config.preintegration.gravity)
         self._scans = ScanIntake(config.lidars)
         awaited = [name for name in sensors if name != 'imu' or config.imu.enabled]
-        self._buffer = WindowBuffer(config.window, awaited, predict, prefer_usable(config))
         # Closed, and waiting for their scans or to be merged with the next.
         self._held: list[tuple[Window, Preparation]] = []
         self._shedding = NO_SHEDDING
         store = make_store(config.map)  # may fail, so before any process is started
         self._front_end = FrontEnd(config)
+        begin = self._front_end.begin if predict else None
+        self._buffer = WindowBuffer(config.window, awaited, predict, prefer_usable(config), begin)
         with waiting():  # while the front end's processes start
             linear_system.warm_up()
             self._strategy.warm_up()
@@ -161,8 +162,17 @@ class Mapper:
             taken = self._scans.take(measurement)
         if taken is not None:
             self._buffer.push(taken)
-        self._shedding = shedding
         self._hold(self._buffer.pop_ready())
+        yield from self.go_on(shedding)
+
+    @property
+    def waits(self) -> bool:
+        """Whether closed windows wait for their scans."""
+        return bool(self._held)
+
+    def go_on(self, shedding: LoadShedding = NO_SHEDDING) -> Iterator[WindowResult]:
+        """Run the closed windows whose scans are prepared by now, oldest first."""
+        self._shedding = shedding
         while self._may_run(shedding.windows):
             yield self._run(self._next_window(shedding.windows))
 

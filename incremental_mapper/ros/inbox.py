@@ -86,11 +86,14 @@ class Inbox:
             self._views.add(view)
             self._filled.notify()
 
-    def take(self) -> tuple[Item | None, set[View]]:
-        """Wait for work: the oldest item, if any, and the views that are wanted."""
+    def take(self, seconds: float | None = None) -> tuple[Item | None, set[View]]:
+        """Wait for work: the oldest item, if any, and the views that are wanted.
+
+        Args:
+            seconds: Neither comes after so long; None waits for ever.
+        """
         with self._filled:
-            while not self._items and not self._views:
-                self._filled.wait()
+            self._filled.wait_for(lambda: self._items or self._views, seconds)
             views, self._views = self._views, set()
             item = self._items.popleft() if self._items else None
             if item is not None and not isinstance(item, Word):
