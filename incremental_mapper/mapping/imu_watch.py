@@ -18,7 +18,7 @@ from incremental_mapper.checks.imu_gravity import (
 )
 from incremental_mapper.checks.imu_holes import check_holes
 from incremental_mapper.checks.imu_motion import FEWEST, MotionEvidence
-from incremental_mapper.config import Config
+from incremental_mapper.config import Config, Tree
 from incremental_mapper.frontend.front_end import Prepared
 from incremental_mapper.frontend.lidar_odometry import PreparedScan
 from incremental_mapper.measurements import NANOSECONDS, ImuSample, Vector
@@ -43,6 +43,10 @@ SPIKE = 20.0
 middle of all: one of them would outweigh all turns of a drive."""
 AROUND = 5
 """Samples of which the median says what is usual around the middle one."""
+OFF: Tree = {'imu': {'enabled': False}}
+"""What a finding sets that takes the whole IMU for wrong."""
+MOST_KNOCKED = 0.5
+"""Share of the matches beside which samples may be wrong before the IMU is."""
 NEAR = 300 * NANOSECONDS
 """Nor are stamps that are so far from most."""
 
@@ -63,6 +67,7 @@ class ImuWatch:
         self._before: Sequence[Finding] = ()  # of the last look at the motion
         self._max_gap = round(config.preintegration.max_gap * NANOSECONDS)
         self._holes = _Holes(self._max_gap)
+        self._contradicted: NDArray[np.int64] = np.zeros(0, dtype=np.int64)  # stamps
 
     def sample(self, sample: ImuSample) -> Sequence[Finding]:
         """Keep a sample, as the message has it; now and then look at gravity."""
@@ -83,6 +88,10 @@ class ImuWatch:
     def used(self, samples: Sequence[ImuSample]) -> None:
         """Look for holes in the samples of a window: those that were not left out."""
         self._holes.pass_by([sample.stamp for sample in samples])
+
+    def contradicted(self, stamps: NDArray[np.int64]) -> None:
+        """Keep the stamps (ns) of samples that are left out for the matches beside them."""
+        self._contradicted = np.concatenate([self._contradicted, stamps])[-MOST_SAMPLES:]
 
     def matches(self, prepared: Sequence[Prepared]) -> Sequence[Finding]:
         """Keep the matches of a window; now and then hold the IMU against them."""
@@ -135,6 +144,10 @@ class ImuWatch:
             gravity=self._gravity,
         )
         found = check_motion(evidence, self._settings, last)
+        calm = _without(evidence, self._contradicted)
+        if any(one.settings == OFF for one in found) and calm is not None:
+            # A knock costs its own span, and not the IMU: it must be wrong beside it, too.
+            found = check_motion(calm, self._settings, last)
         before, self._before = self._before, found
         return [one for one in found if last or one.rule in AT_ONCE or _repeated(one, before)]
 
@@ -170,6 +183,28 @@ class ImuWatch:
             settings.rate_scale * rows[keep, :3],
             settings.acceleration_scale * rows[keep, 3:],
         )
+
+
+def _without(evidence: MotionEvidence, contradicted: NDArray[np.int64]) -> MotionEvidence | None:
+    """The evidence without some samples (stamps, ns) and the matches beside them.
+
+    Returns:
+        None where that is all of it, or too little is left.
+    """
+    spans, wrong = evidence.spans, np.sort(contradicted)
+    beside = np.diff(np.searchsorted(wrong, spans), axis=1)[:, 0] > 0
+    if not beside.any() or len(spans) - beside.sum() < max(FEWEST, MOST_KNOCKED * len(spans)):
+        return None
+    keep = ~np.isin(evidence.stamps, wrong)
+    return MotionEvidence(
+        spans=spans[~beside],
+        turns=evidence.turns[~beside],
+        shifts=evidence.shifts[~beside],
+        stamps=evidence.stamps[keep],
+        gyro=evidence.gyro[keep],
+        force=evidence.force[keep],
+        gravity=evidence.gravity,
+    )
 
 
 def _spikes(rows: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -28,7 +28,7 @@ from incremental_mapper.mapping.base_count import BaseCount
 from incremental_mapper.mapping.commit import NOTHING, Committed, commit
 from incremental_mapper.mapping.failed_windows import FailedWindows
 from incremental_mapper.mapping.georeferencing import georeference, without_fixes
-from incremental_mapper.mapping.imu_gate import gate
+from incremental_mapper.mapping.imu_gate import ImuGate
 from incremental_mapper.mapping.imu_intake import ImuIntake
 from incremental_mapper.mapping.joining import join, joinable
 from incremental_mapper.mapping.judgement import judge_map
@@ -113,7 +113,7 @@ class Mapper:
             linear_system.warm_up()
             self._strategy.warm_up()
         self._parameters = preintegration_parameters(config.preintegration, config.imu.matrix())
-        self._series = EMPTY_SERIES
+        self._series, self._gate = EMPTY_SERIES, ImuGate()
         self._orientation: NDArray[np.float64] | None = None
         self._carried: list[Prepared] = []
         self._state = GraphState(store=store)
@@ -338,10 +338,11 @@ class Mapper:
             self._keep_orientation(sample)
         prepared = [item for part in begun for item in self._front_end.collect(part)]
         turn = self.config.imu.matrix()[:3, :3]
-        gated = gate(self._series.joined(window.imu), prepared, turn)
+        gated = self._gate.take(self._series.joined(window.imu), prepared, turn)
         self._series = gated.series
         if gated.refused:
             self._failed[IMU, 'contradicted'] += gated.refused
+            self._watch.contradicted(gated.left_out)
         self._watch.prepared(prepared)
         self._watch.fixes(self._front_end.gate)
         stands = self._stands(prepared, self._series.within(window.start, window.end))

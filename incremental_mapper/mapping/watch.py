@@ -5,6 +5,9 @@ import logging
 from collections.abc import Callable, Iterable, Sequence
 from typing import Concatenate, ParamSpec
 
+import numpy as np
+from numpy.typing import NDArray
+
 from incremental_mapper.checks.finding import Finding, Severity, ranked
 from incremental_mapper.config import Config, Tree
 from incremental_mapper.frontend.fix_gate import FixGate
@@ -82,6 +85,11 @@ class Watch:
         """Look at what a closed window holds."""
         self._presence.window(window)
         self._imu.used(window.imu)
+
+    @_guarded
+    def contradicted(self, stamps: NDArray[np.int64]) -> None:
+        """Look at the stamps (ns) of samples that are left out for the matches beside them."""
+        self._imu.contradicted(stamps)
 
     @_guarded
     def prepared(self, prepared: Sequence[Prepared]) -> None:

@@ -37,9 +37,10 @@ def match(seconds):
     return PreparedScan(core, NOWHERE, NOWHERE, core.stamp - 100_000_000, pose)
 
 
-def watched(stream, seconds=10.0, config=None):
+def watched(stream, seconds=10.0, config=None, contradicted=()):
     """What a watch finds in samples and the matches beside them, in the order of their stamps."""
     watch = ImuWatch(make_config(config or {}))
+    watch.contradicted(np.array(contradicted, dtype=np.int64))
     matches = [match(at) for at in np.arange(0.3, seconds - 0.1, 0.1)]
     found = []
     for sample in stream:
@@ -97,6 +98,29 @@ def test_what_switches_the_imu_off_is_asked_of_who_runs_the_mapper():
     watch.prepared([match(at) for at in np.arange(0.3, 9.0, 0.1)])
     assert watch.mend == {'imu': {'enabled': False}}
     assert [found.rule for found in watch.mended()] == ['imu_gyro_frozen']
+
+
+def knocked(stream, first, count):
+    """Samples of which some turn by 20 rad/s, and their stamps."""
+    turn = np.array([0.0, 0.0, 20.0])
+    hit = [replace(sample, gyro=turn) for sample in stream[first : first + count]]
+    return [*stream[:first], *hit, *stream[first + count :]], np.array([s.stamp for s in hit])
+
+
+def test_a_knock_that_was_left_out_does_not_switch_the_imu_off():
+    stream, stamps = knocked(imu(), 400, 20)
+    assert [one.rule for one in watched(stream)] == ['imu_disagrees']
+    assert watched(stream, contradicted=stamps) == []
+
+
+def test_an_imu_that_is_wrong_all_along_is_switched_off_beside_a_knock():
+    rng = np.random.default_rng(3)
+    wrong = [replace(sample, gyro=rng.normal(0.0, 2.0, 3)) for sample in imu(20.0)]
+    stream, stamps = knocked(wrong, 400, 20)
+    found = watched(stream, 20.0, contradicted=stamps)
+    assert 'imu_disagrees' in [one.rule for one in found]
+    every = np.array([sample.stamp for sample in stream])
+    assert 'imu_disagrees' in [one.rule for one in watched(stream, 20.0, contradicted=every)]
 
 
 def test_what_is_kept_does_not_grow_with_the_drive(monkeypatch):
