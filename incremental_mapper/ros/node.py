@@ -281,7 +281,8 @@ class MapperNode:
         if overloaded and not self._overloaded:
             self._logger.warning(
                 'measurements come faster than they are mapped: fewer candidates are tried, then '
-                'windows are merged; slow the input down or lower selection.max_candidates'
+                'windows are merged, then scans left out; slow the input down or lower '
+                'selection.max_candidates'
             )
         self._overloaded = overloaded
 
