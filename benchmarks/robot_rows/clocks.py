@@ -169,7 +169,7 @@ def latencies_of(run: NodeRun, seen: int, times: dict[tuple[str, int], int]) -> 
     bounds = {
         stats['stamp_ns']: (stats['window.start_ns'], stats['window.end_ns'])
         for stats in run.client.stats
-        if stats['window.clusters']
+        if stats['window.core']
     }
     ordered = sorted((stamp, at) for (_, stamp), at in times.items())
     stamps = [stamp for stamp, _ in ordered]
