@@ -1,5 +1,6 @@
 """Evidence on the IMU: its samples as they came, and the matches of scans beside them."""
 
+import sys
 from collections.abc import Sequence
 
 import gtsam
@@ -18,6 +19,7 @@ from incremental_mapper.checks.imu_gravity import (
 )
 from incremental_mapper.checks.imu_holes import check_holes
 from incremental_mapper.checks.imu_motion import FEWEST, MotionEvidence
+from incremental_mapper.checks.lidar_clock import lidar_clock_findings
 from incremental_mapper.config import Config, Tree
 from incremental_mapper.frontend.front_end import Prepared
 from incremental_mapper.frontend.lidar_odometry import PreparedScan
@@ -25,8 +27,10 @@ from incremental_mapper.measurements import NANOSECONDS, ImuSample, Vector
 
 MOST_SAMPLES = 20_000
 """Samples that are kept, up to twice as many between: 50 s at 400 Hz."""
-MOST_MATCHES = 1000
-"""Matches that are kept, the same way: 50 s of two LiDARs."""
+MOST_MATCHES = 500
+"""Matches of each LiDAR that are kept, the same way: 50 s."""
+EACH = 150
+"""Matches after which each LiDAR's clock is looked at by itself, once beside at the end."""
 GROWTH = 2.5
 """The rules are asked again when there is so many times the evidence."""
 MARGIN = 0.05
@@ -58,7 +62,9 @@ class ImuWatch:
         self._settings = config.imu
         self._gravity = config.preintegration.gravity
         self._samples = _Newest(MOST_SAMPLES)  # rates and accelerations
-        self._matches = _Newest(MOST_MATCHES)  # rotation vectors and translations
+        self._matches: dict[str, _Newest] = {}  # rotation vectors and translations, by LiDAR
+        self._offsets = {name: lidar.time_offset for name, lidar in config.lidars.items()}
+        self._each = EACH  # matches at which the LiDARs' clocks are looked at
         self._enabled = config.imu.enabled
         self._due: int | None = None  # stamp at which gravity is looked at
         self._span = FIRST + MARGIN  # seconds of samples then
@@ -101,7 +107,8 @@ class ImuWatch:
             if isinstance(item, PreparedScan) and item.previous and item.T_previous_current:
                 moved = item.T_previous_current
                 turned = gtsam.Rot3.Logmap(moved.rotation())
-                self._matches.append(item.previous, item.core.stamp, turned, moved.translation())
+                own = self._matches.setdefault(item.core.sensor, _Newest(MOST_MATCHES))
+                own.append(item.previous, item.core.stamp, turned, moved.translation())
                 self._count += 1
         if self._count < self._enough:
             return ()
@@ -127,21 +134,27 @@ class ImuWatch:
         return () if finding is None else (finding,)
 
     def _look_at_motion(self, last: bool) -> Sequence[Finding]:
-        if len(self._matches) < FEWEST or len(self._samples) < 2 * FEWEST:
+        if self._count < FEWEST or len(self._samples) < 2 * FEWEST:
             return ()
         stamps, gyro, force = self._arrays()
         if len(stamps) < 2 * FEWEST:
             return ()
         turn = self._settings.matrix()[:3, :3].T
-        moved = self._matches.rows()
-        evidence = MotionEvidence(
-            spans=self._matches.stamps(),
-            turns=moved[:, :3],
-            shifts=moved[:, 3:],
-            stamps=stamps,
-            gyro=gyro @ turn,
-            force=force @ turn,
-            gravity=self._gravity,
+        gyro, force = gyro @ turn, force @ turn
+
+        def beside(spans: NDArray[np.int64], moved: NDArray[np.float64]) -> MotionEvidence:
+            turns, shifts = moved[:, :3], moved[:, 3:]
+            return MotionEvidence(spans, turns, shifts, stamps, gyro, force, self._gravity)
+
+        if len(self._matches) > 1 and (last or self._count >= self._each):
+            self._each = sys.maxsize
+            each = {name: beside(own.stamps(), own.rows()) for name, own in self._matches.items()}
+            late = lidar_clock_findings(each, self._offsets)
+            if late:
+                return late
+        kept = self._matches.values()
+        evidence = beside(
+            np.vstack([own.stamps() for own in kept]), np.vstack([own.rows() for own in kept])
         )
         found = check_motion(evidence, self._settings, last)
         calm = _without(evidence, self._contradicted)
@@ -154,7 +167,8 @@ class ImuWatch:
     def _look_at_holes(self) -> Sequence[Finding]:
         if self._holes.last == 0 or len(self._samples) < 2:
             return ()
-        holes, last = self._holes, int(self._matches.stamps()[:, 1].max(initial=0))
+        holes = self._holes
+        last = max((int(own.stamps()[-1, 1]) for own in self._matches.values()), default=0)
         behind = max(last - holes.last, 0)
         silent = behind if behind > self._max_gap else 0
         gaps = np.diff(self._samples.stamps()[:, 0]) / NANOSECONDS

@@ -57,12 +57,15 @@ class Watch:
         self._mounts = MountWatch(config)
         self._gate: FixGate | None = None
         self._presence = PresenceWatch()
+        self._has_failed = False
 
     def failed(self, error: Exception) -> None:
         """Tell of a rule that raised; must be called while it is handled."""
-        known = any(finding.rule == 'check_failed' for finding in self._findings)
-        level = logging.DEBUG if known else logging.ERROR
+        level = logging.DEBUG if self._has_failed else logging.ERROR
         LOGGER.log(level, 'a check of the recording failed; the map goes on', exc_info=True)
+        if self._has_failed:
+            return  # hostile samples may make it fail thousands of times
+        self._has_failed = True
         text = f'a check of the recording failed ({" ".join(repr(error).split())[:200]})'
         remedy = 'the map was made without it; the log has the trace, please report it'
         self._findings.append(Finding('check_failed', Severity.WARNING, '', text, remedy))

@@ -153,3 +153,42 @@ def test_one_absurd_sample_is_no_evidence_against_the_imu():
     turn = np.zeros((700, 6))
     turn[100:240, 2] = 0.5
     assert not _spikes(turn).any()
+
+
+def two_lidars(late, config=None, seconds=20.0):
+    """What is found with a second LiDAR whose stamps are ``late`` s after the first one's."""
+    watch = ImuWatch(make_config(config or {'lidars': {'left': {}, 'right': {}}}))
+    for sample in imu(seconds):
+        watch.sample(sample)
+    found = []
+    for at in np.arange(0.3, seconds - 0.5, 0.1):
+        left = match(at)
+        moment = left.core.stamp + round(late * 1e9)
+        core = CoreMeasurement(moment, 'right', CoreKind.LIDAR)
+        right = replace(left, core=core, previous=moment - 100_000_000)
+        found += watch.matches([left, right])
+    return [*found, *watch.end()]
+
+
+@pytest.mark.parametrize('late', [0.2, -0.3])
+def test_one_lidar_whose_clock_is_off_is_found_and_gone_with_its_setting(late):
+    found = [one for one in two_lidars(late) if one.rule == 'lidar_clock']
+    assert found and {one.sensor for one in found} == {'right'}
+    settings = found[-1].settings
+    offset = settings['lidars']['right']['time_offset']
+    assert offset == pytest.approx(-late, abs=0.011)
+    rest = two_lidars(late + offset, {'lidars': {'left': {}, 'right': {'time_offset': offset}}})
+    assert [one.rule for one in rest if one.rule == 'lidar_clock'] == []
+
+
+def test_two_lidars_in_time_or_both_late_are_no_matter_of_one():
+    assert two_lidars(0.0) == []
+    shifted = ImuWatch(make_config({}))
+    for sample in imu(20.0):
+        shifted.sample(replace(sample, stamp=sample.stamp + 400_000_000))
+    found = []
+    for at in np.arange(1.0, 19.0, 0.1):
+        left = match(at)
+        found += shifted.matches([left, replace(left, core=replace(left.core, sensor='right'))])
+    found += shifted.end()
+    assert {one.rule for one in found} == {'imu_clock'}
