@@ -42,6 +42,8 @@ ALIKE = 0.03
 """Seconds, or parts of a quaternion, by which the two answers may differ."""
 SENSIBLE = 1e7
 """Numbers beyond it, of any unit, are no evidence."""
+FASTEST = 400.0
+"""Nor are rates beyond it, be they in rad/s or in deg/s: no vehicle turns once in a second."""
 SPIKE = 20.0
 """Nor are samples that are so many times further off those around them than 99 of 100 are off the
 middle of all: one of them would outweigh all turns of a drive."""
@@ -53,6 +55,7 @@ MOST_KNOCKED = 0.5
 """Share of the matches beside which samples may be wrong before the IMU is."""
 NEAR = 300 * NANOSECONDS
 """Nor are stamps that are so far from most."""
+_LIMITS = np.array([FASTEST] * 3 + [SENSIBLE] * 3)
 
 
 class ImuWatch:
@@ -185,12 +188,12 @@ class ImuWatch:
         """Stamps, rates and accelerations in time order, scaled, without absurd and frozen ones."""
         stamps, rows = self._samples.stamps()[:, 0], self._samples.rows()
         order = np.argsort(stamps, kind='stable')
-        sensible = np.all(np.abs(rows) < SENSIBLE, axis=1)
+        sensible = np.all(np.abs(rows) < _LIMITS, axis=1)
         sensible[1:] &= (rows[1:] != rows[:-1]).any(axis=1)  # what is frozen says nothing
-        sensible &= ~_spikes(rows)
         # The median: the one that came in the middle may be a stray itself.
         sensible &= np.abs(stamps - stamps[order[len(order) // 2]]) < NEAR
         keep = order[sensible[order]]
+        keep = keep[~_spikes(rows[keep])]
         settings = self._settings
         return (
             stamps[keep],

@@ -1,5 +1,6 @@
 """One map from its first measurement to its last: the mapper, and what is told of its windows."""
 
+import gc
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
@@ -45,6 +46,7 @@ class MapSession:
         """Begin a map; ``mended`` is what ``config`` puts right."""
         self._mended = tuple(mended)
         self.limited_windows = self.scan_bytes = self.cloud_bytes = 0
+        gc.collect()  # a map before this one is large, and may wait in cycles of references
         self._mapper = Mapper(config, [*config.lidars, IMU, GNSS], config.window.predict)
         self._live = LiveMap(self._mapper)
         self._started: float | None = None

@@ -73,6 +73,17 @@ def test_absurd_samples_and_stamps_are_no_evidence():
     assert watched(stream) == []
 
 
+def test_a_quarter_of_hostile_samples_does_not_cost_the_imu():
+    rng = np.random.default_rng(0)
+    stream = []
+    for sample in imu():
+        stream.append(sample)
+        if rng.random() < 0.33:
+            sizes = rng.choice([100.0, 1000.0, 1e5, 1e300], 3) * rng.choice([-1, 1], 3)
+            stream.append(replace(sample, stamp=sample.stamp + 1_000_000, gyro=sizes))
+    assert watched(stream) == []
+
+
 def test_an_imu_that_falls_silent_is_told_of():
     found = watched(imu(2.0))
     assert [one.rule for one in found] == ['imu_holes']
