@@ -44,6 +44,9 @@ GROWTH = 60.0
 """Megabytes by which the hostile run's memory may be above that of the drive alone."""
 FULL, EMPTY = 60, 20
 """Scans and fixes in the node's queue at which the publisher waits, and until which."""
+BATCH = 100
+"""Messages after which it waits until the node has taken them: the middleware keeps as many as a
+queue is deep, each in the room of the largest that it ever held."""
 ALONE_RATE = 0.5
 """Of the drive's time, at which it is sent where nothing else is among it."""
 LOOK = 0.2
@@ -157,7 +160,7 @@ def run_node(sent: Sequence[Sent], settings: Path, out: Path, domain: int, rate:
     with _node(settings, out, domain) as (process, client, log):
         memory = Memory(process.pid)
         began = time.monotonic()
-        publish(sent, domain, rate, lambda: _waiting(client, process))
+        publish(sent, domain, rate, lambda: _waiting(client, process), lambda: _taken(client))
         pace = len(sent) / (time.monotonic() - began)
         status, said = 0, ''
         try:
@@ -184,6 +187,17 @@ def _waiting(client: Any, process: Any) -> int:
     return int(client.diagnostics[-1]['worker']['queue_core'])
 
 
+def _taken(client: Any) -> None:
+    """Wait until the node has taken in what it was sent."""
+    before = -1
+    while True:
+        parts = client.fresh_diagnostics(300.0)
+        received = sum(part.get('received', 0) for part in parts.values())
+        if received == before:
+            return
+        before = received
+
+
 def _settle(client: Any) -> None:
     """Wait until the node has mapped what it was sent."""
     before = -1
@@ -198,11 +212,16 @@ def _settle(client: Any) -> None:
 
 
 def publish(
-    sent: Sequence[Sent], domain: int, rate: float, waiting: Callable[[], int] = lambda: 0
+    sent: Sequence[Sent],
+    domain: int,
+    rate: float,
+    waiting: Callable[[], int] = lambda: 0,
+    taken: Callable[[], None] = lambda: None,
 ) -> None:
     """Send messages as they are, at ``rate`` times the pace at which they were recorded.
 
-    More slowly where ``waiting``, what waits in the node, says so.
+    More slowly where ``waiting``, what waits in the node, says so, and where ``taken``, which
+    returns once the node has taken what it was sent, takes its time.
     """
     import rclpy
     from rclpy.context import Context
@@ -231,13 +250,14 @@ def publish(
                 raise TimeoutError('the node does not listen')
             time.sleep(0.1)
         begin, first = time.monotonic(), sent[0].logged
-        for item in sent:
+        for number, item in enumerate(sent):
             if item.topic not in publishers:
                 continue
             wait = begin + (item.logged - first) / 1e9 / rate - time.monotonic()
             if wait > 0.001:
                 time.sleep(wait)
-            if waiting() > FULL:
+            if waiting() > FULL or number % BATCH == BATCH - 1:
+                taken()
                 while waiting() > EMPTY:
                     time.sleep(LOOK)
                 # Later messages keep their distance from this one.

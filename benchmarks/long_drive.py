@@ -67,7 +67,7 @@ class RepeatedDrive:
 
     def measurements(self) -> Iterator[Measurement]:
         """See Source."""
-        places = _MovedPlaces(self.step)
+        places = MovedPlaces(self.step)
         for number in range(self._rounds):
             for item in self._source.measurements():
                 changes: dict[str, Any] = {'stamp': item.stamp + number * self.span}
@@ -78,7 +78,7 @@ class RepeatedDrive:
             places.next_round()
 
 
-class _MovedPlaces:
+class MovedPlaces:
     """Where a fix of the drive lies in a later round, each of which begins a ``step`` further."""
 
     def __init__(self, step: gtsam.Pose3) -> None:
@@ -108,7 +108,7 @@ def write_repeated(drive: Path, bag: Path, rounds: int) -> None:
     """
     repeated = RepeatedDrive(open_source(drive, {}), rounds)
     recording = read_recording(drive)
-    places = _MovedPlaces(repeated.step)
+    places = MovedPlaces(repeated.step)
     with BagWriter(bag, list(recording.streams)) as writer:
         for number in range(rounds):
             for stamp, sensor, index in recording.order({}):

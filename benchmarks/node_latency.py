@@ -203,7 +203,7 @@ def print_latency(
     bounds = {
         stats['stamp_ns']: (stats['window.start_ns'], stats['window.end_ns'])
         for stats in run.client.stats
-        if stats['window.clusters']
+        if stats['window.core']
     }
     pairs: list[tuple[Heard, Closing]] = []
     for heard in odometry:

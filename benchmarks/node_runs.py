@@ -27,8 +27,8 @@ from incremental_mapper.settings import read_yaml
 SEED = 5
 PATIENCE = 600.0
 """Seconds that an overloaded node has to map what waits."""
-START = 30.0
-"""Seconds that a program has to start."""
+START = 120.0
+"""Seconds that a program has to start: a node that was never run compiles first."""
 
 
 @dataclass(frozen=True, slots=True)

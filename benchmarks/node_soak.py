@@ -106,8 +106,8 @@ def soak(drive: Drive, rate: float, log: Path) -> list[Sample]:
     return samples
 
 
-def print_fits(samples: list[Sample]) -> None:
-    """Slopes over the second half of the drive."""
+def print_fits(samples: list[Sample]) -> float:
+    """Slopes over the second half of the drive; returns that of memory beyond the map."""
     half = samples[-1].drive_s / 2
     late = [sample for sample in samples if sample.drive_s >= half]
     if len(late) < 5:
@@ -128,6 +128,7 @@ def print_fits(samples: list[Sample]) -> None:
     ):
         slope, _ = np.polyfit(minutes, values, 1)
         print(f'| {name} | {values[0]:.0f} MB | {values[-1]:.0f} MB | {slope:+.2f} |')
+    return float(slope)
 
 
 def write_samples(path: Path, samples: list[Sample]) -> None:

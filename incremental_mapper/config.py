@@ -456,14 +456,18 @@ class TimeJumpSettings(Section):
 class QueueSettings(Section):
     """Node: measurements that wait for the worker.
 
-    From a fifth of ``core`` on fewer candidates are solved, from half of it on windows are
-    merged; when it is full the oldest measurement is dropped and counted.
+    From a fifth of ``core`` or of ``max_delay`` on fewer candidates are solved, from half of it on
+    windows are merged; when the queue is full the oldest measurement is dropped and counted.
     """
 
     core: int = Field(default=300, ge=10, le=100_000)
     """Scans and fixes that may wait."""
     imu: int = Field(default=20_000, ge=100, le=1_000_000)
     """IMU samples that may wait."""
+    max_delay: float = Field(default=1.0, ge=0.0, le=600.0)
+    """Seconds that measurements may wait while others come. From four fifths of it on scans are
+    left out that newer ones of their LiDAR stand behind, and counted as ``overload``. 0: whatever
+    the delay none is, for bags that are played faster than they are mapped."""
     shutdown_timeout: float = Field(default=10.0, ge=0.0, le=600.0)
     """Seconds that shutdown may take to map what waits; saving comes on top."""
 

@@ -168,6 +168,10 @@ def _plausible(intensities: NDArray[Any]) -> NDArray[np.float32]:
         return np.where(np.abs(single) <= LARGEST_INTENSITY, single, np.float32(0.0))
 
 
+HIGHEST = 1e5
+"""Metres above and below the ellipsoid, beyond which no vehicle is."""
+
+
 def make_fix(
     stamp: int,
     sensor: str,
@@ -184,7 +188,7 @@ def make_fix(
         sensor: Name of the receiver.
         latitude: Degrees, WGS-84; one above 90 that the longitude could be is swapped with it.
         longitude: Degrees, WGS-84.
-        altitude: Metres above the ellipsoid; what is not finite is no altitude.
+        altitude: Metres above the ellipsoid; what is not within ``HIGHEST`` is no altitude.
         status: As in ``sensor_msgs/NavSatStatus``; what is above GBAS counts as GBAS.
         covariance: Nine numbers in m^2, east, north, up; None, or without positive finite
             horizontal variances, where it is not known. A vertical variance that is none costs
@@ -210,7 +214,16 @@ def make_fix(
         raise MeasurementError(
             'out_of_range', f'{where}: latitude {latitude}, longitude {longitude} are no place'
         )
-    known, remarks = _known_covariance(altitude, covariance)
+    if not abs(altitude) <= HIGHEST:
+        remarks: tuple[Remark, ...] = (
+            Remark('no_altitude', f'altitude {altitude:g}: only the horizontal part is used'),
+        )
+        altitude = math.nan
+    else:
+        remarks = ()
+    known, more = _known_covariance(altitude, covariance)
+    # An unknown height has no variance either, which need not be said too.
+    remarks += tuple(item for item in more if not (remarks and 'vertical' in item.reason))
     if swapped:
         text = f'latitude {longitude:.6f} is none, longitude {latitude:.6f} would be: swapped'
         remarks = (*remarks, Remark('swapped_fix', text))
@@ -219,7 +232,7 @@ def make_fix(
         sensor=sensor,
         latitude=float(latitude),
         longitude=float(longitude),
-        altitude=float(altitude) if math.isfinite(altitude) else math.nan,
+        altitude=float(altitude),
         status=FixStatus(min(int(status), FixStatus.GBAS)),
         covariance=known,
         remarks=remarks,
@@ -229,14 +242,9 @@ def make_fix(
 def _known_covariance(
     altitude: float, covariance: NDArray[np.floating] | None
 ) -> tuple[Vector | None, tuple[Remark, ...]]:
-    """What is known of a fix's uncertainty (3, 3), and a remark where the vertical is not."""
-    no_altitude = Remark(
-        'no_altitude',
-        f'altitude {altitude}: only the horizontal part is used',
-    )
-    remarks = () if math.isfinite(altitude) else (no_altitude,)
+    """What is known of a fix's uncertainty (3, 3), and a remark where it is not what it says."""
     if covariance is None:
-        return None, remarks
+        return None, ()
     matrix: Vector = np.asarray(covariance, dtype=np.float64).reshape(3, 3)
     if not np.isfinite(matrix[:2, :2]).all() or not (np.diag(matrix)[:2] > 0).all():
         east, north = np.diag(matrix)[:2]
@@ -244,14 +252,14 @@ def _known_covariance(
             f'variances {east:g} and {north:g} m^2, said to be known, cannot be: '
             'fixes.default_sigma is used'
         )
-        return None, (*remarks, Remark('no_variance', text))
+        return None, (Remark('no_variance', text),)
     if math.isfinite(altitude) and np.isfinite(matrix).all() and matrix[2, 2] > 0:
-        return matrix, remarks
+        return matrix, ()
     flat: Vector = np.zeros((3, 3))
     flat[:2, :2] = matrix[:2, :2]
     flat[2, 2] = NO_VERTICAL_SIGMA**2
     text = f'vertical variance {matrix[2, 2]:g}: only the horizontal part is used'
-    return flat, remarks or (Remark('no_vertical_variance', text),)
+    return flat, (Remark('no_vertical_variance', text),)
 
 
 def make_imu(

@@ -64,8 +64,9 @@ QUICK = {
     'path': {'publish_period': 0.1},
     'graph': {'markers_period': 0.1},
     'diagnostics': {'period': 0.2},
+    'queue': {'max_delay': 0.0},
 }
-"""Few judging points, and views as soon as they change."""
+"""Few judging points, views as soon as they change, and no scan left out on a slow machine."""
 _used_domains = set()
 
 

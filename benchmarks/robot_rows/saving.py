@@ -37,6 +37,7 @@ from incremental_mapper.ros.programs import (
 from incremental_mapper.settings import read_yaml
 from robot_rows import Seen, row
 
+CONFIG = Path(__file__).parents[2] / 'config' / 'kaist.yaml'
 SECONDS = 12.0
 """Of the short drives."""
 ROUNDS, ROUND = 10, 60.0
@@ -95,7 +96,7 @@ def short_drive() -> Drive:
     """A drive for all rows that need no long one, simulated once."""
     folder = tempfile.mkdtemp(prefix='robot_drive_')
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    return make_drive(Path(folder), SECONDS, Path('config/kaist.yaml'))
+    return make_drive(Path(folder), SECONDS, CONFIG)
 
 
 @contextmanager

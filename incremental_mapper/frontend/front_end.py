@@ -58,6 +58,7 @@ class FrontEnd:
     def __init__(self, config: Config) -> None:
         self._config = config
         self._stations: dict[str, ScanStation] = {}
+        self._begun: dict[tuple[str, int], tuple[LidarScan, Future[PreparedScan]]] = {}
         self.gate = FixGate(
             config.fixes,
             config.gnss.matrix()[:3, 3],
@@ -77,6 +78,16 @@ class FrontEnd:
         """Origin of ENU as the larger part of the fixes has it, None before the first one."""
         return self.gate.datum
 
+    def begin(self, measurement: CoreInput) -> None:
+        """Begin to prepare a scan before its window is closed.
+
+        Args:
+            measurement: The next one of its LiDAR; fixes take no time and are left alone.
+        """
+        if isinstance(measurement, LidarScan):
+            future = self._station(measurement.sensor).submit(measurement)
+            self._begun[measurement.sensor, measurement.stamp] = (measurement, future)
+
     def start(self, core: tuple[CoreInput, ...]) -> Preparation:
         """Begin to prepare a window's core measurements; fixes that cannot be used are counted.
 
@@ -90,7 +101,7 @@ class FrontEnd:
         items: list[tuple[CoreInput, Future[PreparedScan] | NDArray[np.float64]]] = []
         for measurement in core:
             if isinstance(measurement, LidarScan):
-                items.append((measurement, self._station(measurement.sensor).submit(measurement)))
+                items.append((measurement, self._future(measurement)))
                 continue
             try:
                 covariance = checked_covariance(measurement, self._config.fixes)
@@ -138,6 +149,14 @@ class FrontEnd:
         """End the processes, if there are any."""
         for station in self._stations.values():
             station.close()
+
+    def _future(self, scan: LidarScan) -> 'Future[PreparedScan]':
+        """What a scan will become, whether it was begun or not."""
+        begun, future = self._begun.pop((scan.sensor, scan.stamp), (None, None))
+        # Of two with one stamp the other one may have been handed out.
+        if begun is not scan or future is None:
+            return self._station(scan.sensor).submit(scan)
+        return future
 
     def _station(self, name: str) -> ScanStation:
         if name not in self._stations:

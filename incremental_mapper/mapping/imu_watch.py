@@ -1,5 +1,6 @@
 """Evidence on the IMU: its samples as they came, and the matches of scans beside them."""
 
+import sys
 from collections.abc import Sequence
 
 import gtsam
@@ -18,15 +19,18 @@ from incremental_mapper.checks.imu_gravity import (
 )
 from incremental_mapper.checks.imu_holes import check_holes
 from incremental_mapper.checks.imu_motion import FEWEST, MotionEvidence
-from incremental_mapper.config import Config
+from incremental_mapper.checks.lidar_clock import lidar_clock_findings
+from incremental_mapper.config import Config, Tree
 from incremental_mapper.frontend.front_end import Prepared
 from incremental_mapper.frontend.lidar_odometry import PreparedScan
 from incremental_mapper.measurements import NANOSECONDS, ImuSample, Vector
 
 MOST_SAMPLES = 20_000
 """Samples that are kept, up to twice as many between: 50 s at 400 Hz."""
-MOST_MATCHES = 1000
-"""Matches that are kept, the same way: 50 s of two LiDARs."""
+MOST_MATCHES = 500
+"""Matches of each LiDAR that are kept, the same way: 50 s."""
+EACH = 150
+"""Matches after which each LiDAR's clock is looked at by itself, once beside at the end."""
 GROWTH = 2.5
 """The rules are asked again when there is so many times the evidence."""
 MARGIN = 0.05
@@ -38,13 +42,20 @@ ALIKE = 0.03
 """Seconds, or parts of a quaternion, by which the two answers may differ."""
 SENSIBLE = 1e7
 """Numbers beyond it, of any unit, are no evidence."""
+FASTEST = 400.0
+"""Nor are rates beyond it, be they in rad/s or in deg/s: no vehicle turns once in a second."""
 SPIKE = 20.0
 """Nor are samples that are so many times further off those around them than 99 of 100 are off the
 middle of all: one of them would outweigh all turns of a drive."""
 AROUND = 5
 """Samples of which the median says what is usual around the middle one."""
+OFF: Tree = {'imu': {'enabled': False}}
+"""What a finding sets that takes the whole IMU for wrong."""
+MOST_KNOCKED = 0.5
+"""Share of the matches beside which samples may be wrong before the IMU is."""
 NEAR = 300 * NANOSECONDS
 """Nor are stamps that are so far from most."""
+_LIMITS = np.array([FASTEST] * 3 + [SENSIBLE] * 3)
 
 
 class ImuWatch:
@@ -54,7 +65,9 @@ class ImuWatch:
         self._settings = config.imu
         self._gravity = config.preintegration.gravity
         self._samples = _Newest(MOST_SAMPLES)  # rates and accelerations
-        self._matches = _Newest(MOST_MATCHES)  # rotation vectors and translations
+        self._matches: dict[str, _Newest] = {}  # rotation vectors and translations, by LiDAR
+        self._offsets = {name: lidar.time_offset for name, lidar in config.lidars.items()}
+        self._each = EACH  # matches at which the LiDARs' clocks are looked at
         self._enabled = config.imu.enabled
         self._due: int | None = None  # stamp at which gravity is looked at
         self._span = FIRST + MARGIN  # seconds of samples then
@@ -63,6 +76,7 @@ class ImuWatch:
         self._before: Sequence[Finding] = ()  # of the last look at the motion
         self._max_gap = round(config.preintegration.max_gap * NANOSECONDS)
         self._holes = _Holes(self._max_gap)
+        self._contradicted: NDArray[np.int64] = np.zeros(0, dtype=np.int64)  # stamps
 
     def sample(self, sample: ImuSample) -> Sequence[Finding]:
         """Keep a sample, as the message has it; now and then look at gravity."""
@@ -84,6 +98,10 @@ class ImuWatch:
         """Look for holes in the samples of a window: those that were not left out."""
         self._holes.pass_by([sample.stamp for sample in samples])
 
+    def contradicted(self, stamps: NDArray[np.int64]) -> None:
+        """Keep the stamps (ns) of samples that are left out for the matches beside them."""
+        self._contradicted = np.concatenate([self._contradicted, stamps])[-MOST_SAMPLES:]
+
     def matches(self, prepared: Sequence[Prepared]) -> Sequence[Finding]:
         """Keep the matches of a window; now and then hold the IMU against them."""
         if not self._enabled:
@@ -92,7 +110,8 @@ class ImuWatch:
             if isinstance(item, PreparedScan) and item.previous and item.T_previous_current:
                 moved = item.T_previous_current
                 turned = gtsam.Rot3.Logmap(moved.rotation())
-                self._matches.append(item.previous, item.core.stamp, turned, moved.translation())
+                own = self._matches.setdefault(item.core.sensor, _Newest(MOST_MATCHES))
+                own.append(item.previous, item.core.stamp, turned, moved.translation())
                 self._count += 1
         if self._count < self._enough:
             return ()
@@ -118,30 +137,41 @@ class ImuWatch:
         return () if finding is None else (finding,)
 
     def _look_at_motion(self, last: bool) -> Sequence[Finding]:
-        if len(self._matches) < FEWEST or len(self._samples) < 2 * FEWEST:
+        if self._count < FEWEST or len(self._samples) < 2 * FEWEST:
             return ()
         stamps, gyro, force = self._arrays()
         if len(stamps) < 2 * FEWEST:
             return ()
         turn = self._settings.matrix()[:3, :3].T
-        moved = self._matches.rows()
-        evidence = MotionEvidence(
-            spans=self._matches.stamps(),
-            turns=moved[:, :3],
-            shifts=moved[:, 3:],
-            stamps=stamps,
-            gyro=gyro @ turn,
-            force=force @ turn,
-            gravity=self._gravity,
+        gyro, force = gyro @ turn, force @ turn
+
+        def beside(spans: NDArray[np.int64], moved: NDArray[np.float64]) -> MotionEvidence:
+            turns, shifts = moved[:, :3], moved[:, 3:]
+            return MotionEvidence(spans, turns, shifts, stamps, gyro, force, self._gravity)
+
+        if len(self._matches) > 1 and (last or self._count >= self._each):
+            self._each = sys.maxsize
+            each = {name: beside(own.stamps(), own.rows()) for name, own in self._matches.items()}
+            late = lidar_clock_findings(each, self._offsets)
+            if late:
+                return late
+        kept = self._matches.values()
+        evidence = beside(
+            np.vstack([own.stamps() for own in kept]), np.vstack([own.rows() for own in kept])
         )
         found = check_motion(evidence, self._settings, last)
+        calm = _without(evidence, self._contradicted)
+        if any(one.settings == OFF for one in found) and calm is not None:
+            # A knock costs its own span, and not the IMU: it must be wrong beside it, too.
+            found = check_motion(calm, self._settings, last)
         before, self._before = self._before, found
         return [one for one in found if last or one.rule in AT_ONCE or _repeated(one, before)]
 
     def _look_at_holes(self) -> Sequence[Finding]:
         if self._holes.last == 0 or len(self._samples) < 2:
             return ()
-        holes, last = self._holes, int(self._matches.stamps()[:, 1].max(initial=0))
+        holes = self._holes
+        last = max((int(own.stamps()[-1, 1]) for own in self._matches.values()), default=0)
         behind = max(last - holes.last, 0)
         silent = behind if behind > self._max_gap else 0
         gaps = np.diff(self._samples.stamps()[:, 0]) / NANOSECONDS
@@ -158,18 +188,40 @@ class ImuWatch:
         """Stamps, rates and accelerations in time order, scaled, without absurd and frozen ones."""
         stamps, rows = self._samples.stamps()[:, 0], self._samples.rows()
         order = np.argsort(stamps, kind='stable')
-        sensible = np.all(np.abs(rows) < SENSIBLE, axis=1)
+        sensible = np.all(np.abs(rows) < _LIMITS, axis=1)
         sensible[1:] &= (rows[1:] != rows[:-1]).any(axis=1)  # what is frozen says nothing
-        sensible &= ~_spikes(rows)
         # The median: the one that came in the middle may be a stray itself.
         sensible &= np.abs(stamps - stamps[order[len(order) // 2]]) < NEAR
         keep = order[sensible[order]]
+        keep = keep[~_spikes(rows[keep])]
         settings = self._settings
         return (
             stamps[keep],
             settings.rate_scale * rows[keep, :3],
             settings.acceleration_scale * rows[keep, 3:],
         )
+
+
+def _without(evidence: MotionEvidence, contradicted: NDArray[np.int64]) -> MotionEvidence | None:
+    """The evidence without some samples (stamps, ns) and the matches beside them.
+
+    Returns:
+        None where that is all of it, or too little is left.
+    """
+    spans, wrong = evidence.spans, np.sort(contradicted)
+    beside = np.diff(np.searchsorted(wrong, spans), axis=1)[:, 0] > 0
+    if not beside.any() or len(spans) - beside.sum() < max(FEWEST, MOST_KNOCKED * len(spans)):
+        return None
+    keep = ~np.isin(evidence.stamps, wrong)
+    return MotionEvidence(
+        spans=spans[~beside],
+        turns=evidence.turns[~beside],
+        shifts=evidence.shifts[~beside],
+        stamps=evidence.stamps[keep],
+        gyro=evidence.gyro[keep],
+        force=evidence.force[keep],
+        gravity=evidence.gravity,
+    )
 
 
 def _spikes(rows: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -28,7 +28,7 @@ from incremental_mapper.mapping.base_count import BaseCount
 from incremental_mapper.mapping.commit import NOTHING, Committed, commit
 from incremental_mapper.mapping.failed_windows import FailedWindows
 from incremental_mapper.mapping.georeferencing import georeference, without_fixes
-from incremental_mapper.mapping.imu_gate import gate
+from incremental_mapper.mapping.imu_gate import ImuGate
 from incremental_mapper.mapping.imu_intake import ImuIntake
 from incremental_mapper.mapping.joining import join, joinable
 from incremental_mapper.mapping.judgement import judge_map
@@ -102,17 +102,18 @@ class Mapper:
         self._imu = ImuIntake(config.imu, config.preintegration.gravity)
         self._scans = ScanIntake(config.lidars)
         awaited = [name for name in sensors if name != 'imu' or config.imu.enabled]
-        self._buffer = WindowBuffer(config.window, awaited, predict, prefer_usable(config))
         # Closed, and waiting for their scans or to be merged with the next.
         self._held: list[tuple[Window, Preparation]] = []
         self._shedding = NO_SHEDDING
         store = make_store(config.map)  # may fail, so before any process is started
         self._front_end = FrontEnd(config)
+        begin = self._front_end.begin if predict else None
+        self._buffer = WindowBuffer(config.window, awaited, predict, prefer_usable(config), begin)
         with waiting():  # while the front end's processes start
             linear_system.warm_up()
             self._strategy.warm_up()
         self._parameters = preintegration_parameters(config.preintegration, config.imu.matrix())
-        self._series = EMPTY_SERIES
+        self._series, self._gate = EMPTY_SERIES, ImuGate()
         self._orientation: NDArray[np.float64] | None = None
         self._carried: list[Prepared] = []
         self._state = GraphState(store=store)
@@ -161,8 +162,17 @@ class Mapper:
             taken = self._scans.take(measurement)
         if taken is not None:
             self._buffer.push(taken)
-        self._shedding = shedding
         self._hold(self._buffer.pop_ready())
+        yield from self.go_on(shedding)
+
+    @property
+    def waits(self) -> bool:
+        """Whether closed windows wait for their scans."""
+        return bool(self._held)
+
+    def go_on(self, shedding: LoadShedding = NO_SHEDDING) -> Iterator[WindowResult]:
+        """Run the closed windows whose scans are prepared by now, oldest first."""
+        self._shedding = shedding
         while self._may_run(shedding.windows):
             yield self._run(self._next_window(shedding.windows))
 
@@ -328,10 +338,11 @@ class Mapper:
             self._keep_orientation(sample)
         prepared = [item for part in begun for item in self._front_end.collect(part)]
         turn = self.config.imu.matrix()[:3, :3]
-        gated = gate(self._series.joined(window.imu), prepared, turn)
+        gated = self._gate.take(self._series.joined(window.imu), prepared, turn)
         self._series = gated.series
         if gated.refused:
             self._failed[IMU, 'contradicted'] += gated.refused
+            self._watch.contradicted(gated.left_out)
         self._watch.prepared(prepared)
         self._watch.fixes(self._front_end.gate)
         stands = self._stands(prepared, self._series.within(window.start, window.end))

@@ -7,9 +7,12 @@ from incremental_mapper.measurements import NANOSECONDS
 
 _KEPT = 64
 """Messages that tell what is usual for a sensor: a minute of a receiver of 1 Hz."""
-_STEP_MARGIN = 0.05
+_STEP_MARGIN, _TRUSTED = 0.05, 4
 """Share of a period by which a message may come earlier than all before it, besides what their
-steps differ among each other."""
+steps differ among each other; it shrinks as more than so many steps are known."""
+_LONG = 1.5
+"""A step that is so many times the shortest one is of messages that were missed, and tells nothing
+of what is usual."""
 _LAG_MARGIN = NANOSECONDS // 20
 """Nanoseconds by which a message may come later behind the others than all before it. A loaded
 machine delivers clouds of a megabyte 10 to 30 ms apart."""
@@ -29,7 +32,7 @@ class Pace:
         self._moved = False
         self._steps: deque[int] = deque(maxlen=_KEPT)
         self._lags: deque[int] = deque(maxlen=_KEPT)
-        self._shortest = self._spread = self._lag = 0
+        self._shortest = self._spread = self._margin = self._lag = 0
 
     def take(self, stamp: int, now: int, most: int) -> None:
         """Take the next message.
@@ -52,8 +55,11 @@ class Pace:
             return
         self._steps.append(step)
         self._shortest = min(self._steps)
-        # One long step is a message that was missed, and tells nothing of the others.
-        self._spread = min(max(self._steps) - self._shortest, self._shortest // 2)
+        usual = [item for item in self._steps if item <= _LONG * self._shortest]
+        self._spread = max(usual) - self._shortest
+        # What the steps differ by is known the better the more of them there are.
+        share = _STEP_MARGIN * min(_TRUSTED / len(usual), 1.0)
+        self._margin = self._spread + round(share * self._shortest)
 
     def move(self, stamp: int) -> None:
         """All clocks moved on to ``stamp`` (ns): the step there is nobody's own."""
@@ -86,6 +92,5 @@ class Pace:
         """
         due = self._newest
         if self._steps:
-            margin = self._spread + round(_STEP_MARGIN * self._shortest)
-            due += max(self._shortest - margin, 0)
+            due += max(self._shortest - self._margin, 0)
         return max(due, now - min(self._lag + grain + _LAG_MARGIN, lateness))

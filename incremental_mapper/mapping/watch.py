@@ -5,6 +5,9 @@ import logging
 from collections.abc import Callable, Iterable, Sequence
 from typing import Concatenate, ParamSpec
 
+import numpy as np
+from numpy.typing import NDArray
+
 from incremental_mapper.checks.finding import Finding, Severity, ranked
 from incremental_mapper.config import Config, Tree
 from incremental_mapper.frontend.fix_gate import FixGate
@@ -54,12 +57,15 @@ class Watch:
         self._mounts = MountWatch(config)
         self._gate: FixGate | None = None
         self._presence = PresenceWatch()
+        self._has_failed = False
 
     def failed(self, error: Exception) -> None:
         """Tell of a rule that raised; must be called while it is handled."""
-        known = any(finding.rule == 'check_failed' for finding in self._findings)
-        level = logging.DEBUG if known else logging.ERROR
+        level = logging.DEBUG if self._has_failed else logging.ERROR
         LOGGER.log(level, 'a check of the recording failed; the map goes on', exc_info=True)
+        if self._has_failed:
+            return  # hostile samples may make it fail thousands of times
+        self._has_failed = True
         text = f'a check of the recording failed ({" ".join(repr(error).split())[:200]})'
         remedy = 'the map was made without it; the log has the trace, please report it'
         self._findings.append(Finding('check_failed', Severity.WARNING, '', text, remedy))
@@ -82,6 +88,11 @@ class Watch:
         """Look at what a closed window holds."""
         self._presence.window(window)
         self._imu.used(window.imu)
+
+    @_guarded
+    def contradicted(self, stamps: NDArray[np.int64]) -> None:
+        """Look at the stamps (ns) of samples that are left out for the matches beside them."""
+        self._imu.contradicted(stamps)
 
     @_guarded
     def prepared(self, prepared: Sequence[Prepared]) -> None:

@@ -78,7 +78,9 @@ class WindowBuffer:
 
     ``sensors`` are those to wait for from the start; others are waited for once they are seen.
     With ``predict`` none is waited for beyond what is usual for it. ``better`` tells whether a
-    measurement takes the place of one with its sensor and stamp.
+    measurement takes the place of one with its sensor and stamp. ``begin`` is told of each one that
+    goes on from its sensor's newest and is not ahead of the others: it will be handed out as the
+    next of its sensor.
     """
 
     def __init__(
@@ -87,11 +89,13 @@ class WindowBuffer:
         sensors: Iterable[str] = (),
         predict: bool = False,
         better: Callable[[CoreInput, CoreInput], bool] = lambda new, held: False,
+        begin: Callable[[CoreInput], None] | None = None,
     ) -> None:
         self._awaited = set(sensors)
         self._predict = predict
         self._paces: dict[str, Pace] = {}
-        self._better = better
+        self._better, self._begin = better, begin
+        self._begun: dict[str, int] = {}  # newest stamp by sensor
         self._duration = round(settings.duration * NANOSECONDS)
         self._lateness = round(settings.lateness * NANOSECONDS)
         self._core: dict[tuple[int, str], CoreInput] = {}
@@ -243,18 +247,27 @@ class WindowBuffer:
             self.drops[sensor, 'duplicate_stamp'] += 1
             if self._better(measurement, self._core[key]):
                 self._core[key] = measurement
-        elif stamp <= self._closed_core:
+        elif stamp <= max(self._closed_core, self._begun.get(sensor, -1)):
             self.drops[sensor, 'late'] += 1
         else:
             if self._start is not None and stamp < self._start:
                 self.late += 1
             self._core[key] = measurement
+            if self._begin is not None and self._comes_next(stamp, sensor):
+                self._begun[sensor] = stamp
+                self._begin(measurement)
         if self._predict:
             self._learn(stamp, sensor)
         newest = max(self._newest.values(), default=stamp)
         if stamp > newest:
             self._steps.append(stamp - newest)
         self._newest[sensor] = max(stamp, self._newest.get(sensor, stamp))
+
+    def _comes_next(self, stamp: int, sensor: str) -> bool:
+        """Whether a message is the next of its sensor; a stray one ahead of all others is not."""
+        others = (newest for name, newest in self._newest.items() if name != sensor)
+        last = self._newest.get(sensor, -1)
+        return last < stamp <= max(others, default=last) + self._duration
 
     def _learn(self, stamp: int, sensor: str) -> None:
         """Keep what is usual for a sensor, before its stamp is the newest."""
@@ -268,8 +281,9 @@ class WindowBuffer:
         newest = max(self._newest.values(), default=0)
         slowest = min(self._newest.values(), default=0)
         patient = newest - self._lateness
-        # Where the grid starts is decided once, and all windows depend on it.
-        if self._predict and self._start is not None:
+        # Where the grid starts is decided once, and all windows depend on it: by then all sensors
+        # have told of themselves, and each one's messages come in order.
+        if self._predict and (self._start is not None or not self._awaited - self._newest.keys()):
             return self._predicted(newest, patient)
         return patient if self._awaited - self._newest.keys() else max(slowest, patient)
 

@@ -3,6 +3,7 @@
 ``open_drive`` and ``map_into`` are what ``map`` does once and ``evaluate`` many times.
 """
 
+import gc
 import signal
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -288,6 +289,8 @@ def _mending(drive: Drive, attempt: Callable[[Drive, bool], Run]) -> Run:
             config = effective_config(source, tree, drive.where)
             mended = (*begun.mended, *found)
             drive = replace(drive, source=source, config=config, tree=tree, mended=mended)
+        # The map so far hangs on the frames that raised: without this the next one comes on top.
+        gc.collect()
     return attempt(drive, False)
 
 

@@ -126,6 +126,10 @@ DROP_REASONS = {
         'the finding clock_step has the value and the line',
     ),
     'stray_stamp': DropReason('a single stamp that went back', 'check the clock if there are many'),
+    'overload': DropReason(
+        'scans come faster than they are mapped, and newer ones stood behind it',
+        'lower selection.max_candidates; queue.max_delay says how long scans may wait',
+    ),
     'queue_full': DropReason(
         'measurements come faster than they are mapped', 'lower selection.max_candidates'
     ),

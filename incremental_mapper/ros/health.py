@@ -177,6 +177,7 @@ class Health:
             'queue_core': core,
             'queue_imu': imu,
             'queue_mb': round(self._worker.inbox.nbytes() / MB, 2),
+            'delay_s': round(self._worker.inbox.delay(), 2),
             'candidates_limit': shedding.candidates,
             'windows_merged_into_one': shedding.windows,
             'window_s': row.get('window_s', 0.0),

@@ -13,7 +13,7 @@ from incremental_mapper.mapping.imu_prediction import ImuPrediction
 from incremental_mapper.measurements import ImuSample, Measurement
 from incremental_mapper.ros.publishers import QUIET, node_name, reliable
 from incremental_mapper.ros.result_messages import odometry_message, status
-from incremental_mapper.ros.updates import WindowUpdate
+from incremental_mapper.ros.updates import PoseUpdate
 
 DEPTH = 100
 """Samples that wait for a slow reader."""
@@ -44,11 +44,10 @@ class ImuOdometry:
             frames = self._config.frames
             self._publisher.publish(odometry_message(predicted, frames.odom, frames.base))
 
-    def window(self, update: WindowUpdate) -> None:
+    def pose(self, update: PoseUpdate) -> None:
         """Start from a window's newest state."""
-        if update.newest is not None and update.odometry is not None:
-            self._prediction.rebase(update.newest, update.odometry)
-            self._most = max(self._most, self._prediction.correction)
+        self._prediction.rebase(update.newest, update.odometry)
+        self._most = max(self._most, self._prediction.correction)
 
     def restart(self, config: Config) -> None:
         """Begin anew with the settings of the next map."""

@@ -1,8 +1,13 @@
-"""What waits for the worker: bounded, in the order of arrival, nothing lost unseen."""
+"""What waits for the worker: bounded, in the order of arrival, nothing lost unseen.
+
+Where the worker cannot follow, first less is spent on each window, and then scans are left out, so
+that what it maps is never much older than ``queue.max_delay``.
+"""
 
 import threading
 import time
 from collections import Counter, deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import TypeAlias
@@ -12,8 +17,13 @@ from incremental_mapper.config import QueueSettings, Tree
 from incremental_mapper.mapping.load_shedding import NO_SHEDDING, LoadShedding
 from incremental_mapper.measurements import Drops, ImuSample, LidarScan, Measurement
 
-SEARCH_LESS_FROM, MERGE_FROM, MERGE_MORE_FROM = 0.2, 0.5, 0.75
-"""Shares of the queue from which on less is spent on a window."""
+SEARCH_LESS_FROM, MERGE_FROM, MERGE_MORE_FROM, LEAVE_OUT_FROM = 0.2, 0.5, 0.75, 0.8
+"""Shares of the queue, or of the longest delay, from which on less is spent on a window; behind the
+last one scans are left out, where it is the delay."""
+READ_AHEAD = 1
+"""Windows whose scans are prepared behind an older one, while windows are merged: they wait too."""
+OVERLOAD = 'overload'
+"""Why a scan is left out that waited while newer ones of its LiDAR came."""
 MOST_CANDIDATES, LEAST_CANDIDATES = 64, 4
 """Candidates that are solved at the first sign of overload, and under full overload."""
 
@@ -58,12 +68,27 @@ Word: TypeAlias = Command | Renewal
 Item: TypeAlias = Measurement | Word
 
 
+@dataclass(frozen=True, slots=True)
+class _Entry:
+    """What waits, and when the newest measurement came by then, seconds."""
+
+    item: Item
+    arrived: float
+
+
 class Inbox:
     """A queue between the callbacks and the worker; every method may be called by any thread."""
 
-    def __init__(self, settings: QueueSettings) -> None:
+    def __init__(
+        self, settings: QueueSettings, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        """Begin empty; ``clock`` tells the seconds by which delays are measured."""
         self._limits = {True: settings.imu, False: settings.core}
-        self._items: deque[Item] = deque()
+        self._max_delay = settings.max_delay
+        self._clock = clock
+        self._items: deque[_Entry] = deque()
+        self._scans: Counter[str] = Counter()  # that wait, by sensor
+        self._newest = 0.0  # arrival
         self._counts = {True: 0, False: 0}  # by whether it is an IMU sample
         self._views: set[View] = set()
         self._filled = threading.Condition()
@@ -77,7 +102,9 @@ class Inbox:
                 if self._counts[inertial] >= self._limits[inertial]:
                     self._drop_oldest(inertial)
                 self._counts[inertial] += 1
-            self._items.append(item)
+                self._newest = self._clock()
+                self._scans[item.sensor] += isinstance(item, LidarScan)
+            self._items.append(_Entry(item, self._newest))
             self._filled.notify()
 
     def request(self, view: View) -> None:
@@ -86,16 +113,16 @@ class Inbox:
             self._views.add(view)
             self._filled.notify()
 
-    def take(self) -> tuple[Item | None, set[View]]:
-        """Wait for work: the oldest item, if any, and the views that are wanted."""
+    def take(self, seconds: float | None = None) -> tuple[Item | None, set[View]]:
+        """Wait for work: the oldest item, if any, and the views that are wanted.
+
+        Args:
+            seconds: Neither comes after so long; None waits for ever.
+        """
         with self._filled:
-            while not self._items and not self._views:
-                self._filled.wait()
+            self._filled.wait_for(lambda: self._items or self._views, seconds)
             views, self._views = self._views, set()
-            item = self._items.popleft() if self._items else None
-            if item is not None and not isinstance(item, Word):
-                self._counts[isinstance(item, ImuSample)] -= 1
-            return item, views
+            return self._pop(), views
 
     def count(self, measurement: Measurement, reason: str) -> None:
         """Count a measurement that was taken out and is not used."""
@@ -105,12 +132,15 @@ class Inbox:
     def clear(self, reason: str) -> None:
         """Drop all measurements, counted under ``reason``; what the worker is told stays."""
         with self._filled:
-            words = [item for item in self._items if isinstance(item, Word)]
+            words = [entry for entry in self._items if isinstance(entry.item, Word)]
             self._drops.update(
-                (item.sensor, reason) for item in self._items if not isinstance(item, Word)
+                (entry.item.sensor, reason)
+                for entry in self._items
+                if not isinstance(entry.item, Word)
             )
             self._items = deque(words)
             self._counts = {True: 0, False: 0}
+            self._scans.clear()
 
     def waiting(self) -> tuple[int, int]:
         """How many core measurements and IMU samples wait."""
@@ -120,35 +150,77 @@ class Inbox:
     def nbytes(self) -> int:
         """Memory that the points of the waiting scans take."""
         with self._filled:
-            return sum(item.points.nbytes for item in self._items if isinstance(item, LidarScan))
+            waiting = (entry.item for entry in self._items)
+            return sum(item.points.nbytes for item in waiting if isinstance(item, LidarScan))
+
+    def delay(self) -> float:
+        """Seconds between the arrivals of the oldest and the newest measurement that wait.
+
+        What comes all at once, and is followed by nothing, is no delay: nobody waits for it.
+        """
+        with self._filled:
+            return self._newest - self._items[0].arrived if self._items else 0.0
 
     def shedding(self) -> LoadShedding:
         """What may be spent on the next windows at this filling."""
         core, imu = self.waiting()
-        return shedding_at(max(core / self._limits[False], imu / self._limits[True]))
+        filling = max(core / self._limits[False], imu / self._limits[True])
+        share = self.delay() / self._max_delay if self._max_delay > 0 else 0.0
+        return shedding_at(max(filling, share))
 
     def drops(self) -> Drops:
         """What was dropped, by sensor and reason."""
         with self._filled:
             return self._drops.copy()
 
+    def _pop(self) -> Item | None:
+        """Take the oldest item, and leave out scans before it that waited too long."""
+        while self._items:
+            entry = self._items.popleft()
+            item = entry.item
+            if isinstance(item, Word):
+                return item
+            self._counts[isinstance(item, ImuSample)] -= 1
+            if not isinstance(item, LidarScan):
+                return item
+            self._scans[item.sensor] -= 1
+            behind = self._newest - entry.arrived
+            if not leaves_out(behind, self._max_delay) or self._scans[item.sensor] == 0:
+                return item
+            self._drops[item.sensor, OVERLOAD] += 1
+        return None
+
     def _drop_oldest(self, inertial: bool) -> None:
-        for index, item in enumerate(self._items):
+        for index, entry in enumerate(self._items):
+            item = entry.item
             if not isinstance(item, Word) and isinstance(item, ImuSample) == inertial:
                 self._drops[item.sensor, 'queue_full'] += 1
                 del self._items[index]
                 self._counts[inertial] -= 1
+                self._scans[item.sensor] -= isinstance(item, LidarScan)
                 return
 
 
 def shedding_at(filling: float) -> LoadShedding:
-    """Limits at a filling of the queue between 0 and 1: first less search, then fewer windows."""
+    """Limits at a share of the queue, or of the longest delay: less search, then fewer windows."""
     if filling < SEARCH_LESS_FROM:
         return NO_SHEDDING
     share = max(MERGE_FROM - filling, 0.0) / (MERGE_FROM - SEARCH_LESS_FROM)
     candidates = round(LEAST_CANDIDATES + share * (MOST_CANDIDATES - LEAST_CANDIDATES))
     windows = 1 + (filling >= MERGE_FROM) + (filling >= MERGE_MORE_FROM)
-    return LoadShedding(candidates=candidates, windows=windows)
+    if windows == 1:
+        return LoadShedding(candidates=candidates)
+    return LoadShedding(candidates=candidates, windows=windows, read_ahead=READ_AHEAD)
+
+
+def leaves_out(delay: float, most: float) -> bool:
+    """Whether a scan is left out that was followed by newer ones of its LiDAR.
+
+    Args:
+        delay: Seconds since it came, by the newest measurement.
+        most: Seconds that none should wait; 0 where all may.
+    """
+    return 0.0 < LEAVE_OUT_FROM * most <= delay
 
 
 class Deadline:

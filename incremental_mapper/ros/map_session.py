@@ -1,15 +1,18 @@
 """One map from its first measurement to its last: the mapper, and what is told of its windows."""
 
+import gc
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from importlib.util import find_spec
 from pathlib import Path
+from typing import TypeAlias
 
 from incremental_mapper.checks.finding import Finding, ranked
 from incremental_mapper.config import Config, Tree
 from incremental_mapper.mapping.load_shedding import NO_SHEDDING, LoadShedding
 from incremental_mapper.mapping.mapper import Mapper
+from incremental_mapper.mapping.newest_state import NewestState
 from incremental_mapper.mapping.odometry_frame import OdometryFrame
 from incremental_mapper.mapping.result import WindowResult
 from incremental_mapper.mapping.statistics import peak_rss_mb
@@ -21,9 +24,11 @@ from incremental_mapper.ros.inbox import View
 from incremental_mapper.ros.live_map import LiveMap
 from incremental_mapper.ros.saving import Snapshot
 from incremental_mapper.ros.subscriptions import GNSS, IMU
-from incremental_mapper.ros.updates import ViewUpdate, WindowUpdate
+from incremental_mapper.ros.updates import PoseUpdate, ViewUpdate, WindowUpdate
 from incremental_mapper.smoothing.graph_state import PlacedScan
 from incremental_mapper.visualization.extras import LIBRARIES
+
+Told: TypeAlias = PoseUpdate | WindowUpdate
 
 FAILED = 'mapper_failed'
 """Why a measurement was lost where the mapper raised."""
@@ -41,6 +46,7 @@ class MapSession:
         """Begin a map; ``mended`` is what ``config`` puts right."""
         self._mended = tuple(mended)
         self.limited_windows = self.scan_bytes = self.cloud_bytes = 0
+        gc.collect()  # a map before this one is large, and may wait in cycles of references
         self._mapper = Mapper(config, [*config.lidars, IMU, GNSS], config.window.predict)
         self._live = LiveMap(self._mapper)
         self._started: float | None = None
@@ -57,18 +63,24 @@ class MapSession:
         if self._spool is not None:
             self._spool.close()
 
-    def advance(self, measurement: Measurement, shedding: LoadShedding) -> Iterator[WindowUpdate]:
+    def advance(self, measurement: Measurement, shedding: LoadShedding) -> Iterator[Told]:
         """Map a measurement; the windows that it completes are told of one by one."""
         if self._started is None:
             self._started = time.perf_counter()
-        for result in self._mapper.advance(measurement, shedding):
-            self.limited_windows += shedding.candidates is not None
-            yield self._update(result)
+        return self._told(self._mapper.advance(measurement, shedding), shedding)
 
-    def drain(self) -> Iterator[WindowUpdate]:
+    @property
+    def waits(self) -> bool:
+        """Whether a closed window waits for its scans, and nothing need come for it to go on."""
+        return self._mapper.waits
+
+    def go_on(self, shedding: LoadShedding) -> Iterator[Told]:
+        """Map the closed windows whose scans are prepared by now."""
+        return self._told(self._mapper.go_on(shedding), shedding)
+
+    def drain(self) -> Iterator[Told]:
         """Close and map every open window."""
-        for result in self._mapper.drain(NO_SHEDDING):
-            yield self._update(result)
+        return self._told(self._mapper.drain(NO_SHEDDING), NO_SHEDDING)
 
     def view(self, view: View, graph_span: float) -> ViewUpdate:
         """Map, path or graph as they stand; ``graph_span`` is how much of the graph, seconds."""
@@ -137,7 +149,16 @@ class MapSession:
     def _wall(self) -> float:
         return 0.0 if self._started is None else time.perf_counter() - self._started
 
-    def _update(self, result: WindowResult) -> WindowUpdate:
+    def _told(self, results: Iterable[WindowResult], shedding: LoadShedding) -> Iterator[Told]:
+        """What is told of windows: first the pose that others steer by, then all else."""
+        for result in results:
+            self.limited_windows += shedding.candidates is not None
+            newest = self._mapper.newest() if result.clusters or result.joined else None
+            if newest is not None:
+                yield PoseUpdate(newest, self._odometry.follow(self._mapper.state, newest))
+            yield self._update(result, newest)
+
+    def _update(self, result: WindowResult, newest: NewestState | None) -> WindowUpdate:
         self._live.follow()
         if self._spool is not None:
             self._spool.add(result)
@@ -147,14 +168,12 @@ class MapSession:
             'real_time_factor': stats['drive_s'] / wall if wall > 0 else 0.0,
             'peak_rss_mb': peak_rss_mb(),
         }
-        newest = self._mapper.newest() if result.clusters or result.joined else None
-        odometry = None if newest is None else self._odometry.follow(self._mapper.state, newest)
         scans = self._new_scans()
         self.scan_bytes += sum(scan.stored.nbytes for scan in scans)
         self.cloud_bytes = self._live.nbytes
         points = self._live.placed(scans)
         findings = ranked([*self._mended, *self._mapper.findings])
-        return WindowUpdate(result, newest, odometry, points, stats, findings)
+        return WindowUpdate(result, newest, points, stats, findings)
 
     def _new_scans(self) -> Sequence[PlacedScan]:
         scans = self._mapper.state.scans

@@ -47,6 +47,7 @@ from incremental_mapper.ros.programs import NODE_NAME
 from incremental_mapper.ros.publishers import Outputs, node_name
 from incremental_mapper.ros.subscriptions import Inputs
 from incremental_mapper.ros.updates import (
+    PoseUpdate,
     Reply,
     Restarted,
     Trouble,
@@ -185,10 +186,12 @@ class MapperNode:
     def _on_updates(self) -> None:
         while self._updates:
             update = self._updates.popleft()
-            if isinstance(update, WindowUpdate):
-                self._outputs.window(update)
+            if isinstance(update, PoseUpdate):
+                self._outputs.pose(update)
                 if self._predicted is not None:
-                    self._predicted.window(update)
+                    self._predicted.pose(update)
+            elif isinstance(update, WindowUpdate):
+                self._outputs.window(update)
                 self._health.window(update)
                 self._findings.of_map(update.findings)
             elif isinstance(update, ViewUpdate):
@@ -278,7 +281,8 @@ class MapperNode:
         if overloaded and not self._overloaded:
             self._logger.warning(
                 'measurements come faster than they are mapped: fewer candidates are tried, then '
-                'windows are merged; slow the input down or lower selection.max_candidates'
+                'windows are merged, then scans left out; slow the input down or lower '
+                'selection.max_candidates'
             )
         self._overloaded = overloaded
 

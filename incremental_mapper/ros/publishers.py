@@ -32,7 +32,7 @@ from incremental_mapper.ros.result_messages import (
     stats_message,
 )
 from incremental_mapper.ros.transforms import make_transforms
-from incremental_mapper.ros.updates import ViewUpdate, WindowUpdate
+from incremental_mapper.ros.updates import PoseUpdate, ViewUpdate, WindowUpdate
 from incremental_mapper.ros.view_pace import ViewPace
 
 QUIET = PublisherEventCallbacks(use_default_callbacks=False)
@@ -107,22 +107,24 @@ class Outputs:
             View.GRAPH: _Shown(publish(MarkerArray, '~/graph', latched)),
         }
 
+    def pose(self, update: PoseUpdate) -> None:
+        """Publish what others steer by."""
+        newest, frames = update.newest, self._frames
+        self._odometry.publish(odometry_message(newest, frames.map, frames.base))
+        in_frame = in_odom(newest, update.odometry)
+        self._odom.publish(odometry_message(in_frame, frames.odom, frames.base))
+        if self.transforms is not None:
+            self.transforms.send(newest.stamp, newest.pose, update.odometry.pose)
+
     def window(self, update: WindowUpdate) -> None:
-        """Publish what belongs to one window."""
+        """Publish what else belongs to one window."""
         result, newest = update.result, update.newest
         stamp = result.end if newest is None else newest.stamp
         frame = self._frames.map
-        # What others steer by goes first.
-        if newest is not None and update.odometry is not None:
-            self._odometry.publish(odometry_message(newest, frame, self._frames.base))
-            in_frame = in_odom(newest, update.odometry)
-            self._odom.publish(odometry_message(in_frame, self._frames.odom, self._frames.base))
-            if self.transforms is not None:
-                self.transforms.send(stamp, newest.pose, update.odometry.pose)
         name = f'{self._node_name}: graph'
         self._stats.publish(stats_message(stamp, result.row, update.stats, name))
         self._datum.take(update.stats, stamp)
-        if newest is None or update.odometry is None:
+        if newest is None:
             return
         self._windows += 1
         self._poses.publish(pose_array(stamp, result.poses, frame))

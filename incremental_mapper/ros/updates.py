@@ -16,17 +16,24 @@ from incremental_mapper.ros.live_map import GraphView, PathView
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class PoseUpdate:
+    """Where the car is, as soon as a window is solved; its ``WindowUpdate`` follows."""
+
+    newest: NewestState
+    odometry: OdometryPose
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class WindowUpdate:
     """A window's result.
 
-    ``newest`` and ``odometry`` are None where the window appended nothing; ``points`` (N, 3)
-    are its new points in the map, metres; ``stats`` the keys of stats.json so far; ``findings``
-    everything that was found wrong with this map so far.
+    ``newest`` is None where the window appended nothing; ``points`` (N, 3) are its new points in
+    the map, metres; ``stats`` the keys of stats.json so far; ``findings`` everything that was
+    found wrong with this map so far.
     """
 
     result: WindowResult
     newest: NewestState | None
-    odometry: OdometryPose | None
     points: NDArray[np.float64]
     stats: dict[str, Any]
     findings: tuple[Finding, ...]
@@ -74,4 +81,4 @@ class Trouble:
     message: str
 
 
-Update: TypeAlias = WindowUpdate | ViewUpdate | Reply | Restarted | Trouble
+Update: TypeAlias = PoseUpdate | WindowUpdate | ViewUpdate | Reply | Restarted | Trouble

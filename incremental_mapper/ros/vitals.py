@@ -36,7 +36,7 @@ WANTED = frozenset({'paused', 'switched_off'})
 """Reasons that are somebody's wish."""
 AFTERWARDS = frozenset({'before_mend', 'datum_outlier'})
 """Reasons that throw away what was taken in earlier: no share of what came in meanwhile."""
-LOSSES = frozenset({'queue_full', 'late', 'window_failed', 'mapper_failed', 'shutdown'})
+LOSSES = frozenset({'queue_full', 'overload', 'late', 'window_failed', 'mapper_failed', 'shutdown'})
 """Reasons that say nothing against the message: one is worth a warning."""
 
 

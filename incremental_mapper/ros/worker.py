@@ -15,7 +15,7 @@ from incremental_mapper.measurements import Drops, LidarScan, Measurement
 from incremental_mapper.results.offline_run import MOST_MENDS
 from incremental_mapper.ros.beginning import Beginning
 from incremental_mapper.ros.inbox import Command, Deadline, Inbox, Order, Renewal
-from incremental_mapper.ros.map_session import FAILED, MapSession
+from incremental_mapper.ros.map_session import FAILED, MapSession, Told
 from incremental_mapper.ros.saves import Saves
 from incremental_mapper.ros.saving import Snapshot
 from incremental_mapper.ros.time_jumps import JumpFilter, step_findings
@@ -24,6 +24,8 @@ from incremental_mapper.settings import make_config, merge, to_tree
 
 SHUTDOWN = 'shutdown'
 """Why a measurement was lost that waited when the time to stop was over."""
+LOOK = 0.005
+"""Seconds between two looks whether the scans of a closed window are prepared."""
 RETRY = 5.0
 """Seconds between two attempts to begin a map where the last one failed."""
 NO_MAP = 'there is no map: none could be begun; the log says why'
@@ -141,8 +143,11 @@ class Worker:
 
     def _serve(self) -> bool:
         """Wait for work and do it; returns whether more may come."""
-        item, views = self.inbox.take()
+        session = self._session
+        item, views = self.inbox.take(LOOK if session is not None and session.waits else None)
         with self._guarded():
+            if item is None and session is not None:
+                self._tell(session.go_on(self.inbox.shedding()))
             for view in sorted(views):
                 if self._session is not None:
                     self._emit(self._session.view(view, self.graph_span))
@@ -285,11 +290,12 @@ class Worker:
                 self._map(sweep)
         return 0 if self._session is None else self._tell(self._session.drain())
 
-    def _tell(self, updates: Iterable[WindowUpdate]) -> int:
+    def _tell(self, updates: Iterable[Told]) -> int:
+        """Tell of windows; returns of how many."""
         count = 0
         for update in updates:
             self._emit(update)
-            count += 1
+            count += isinstance(update, WindowUpdate)
         return count
 
     def _finish(self) -> None:

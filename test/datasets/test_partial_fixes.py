@@ -26,6 +26,8 @@ def fix(stamp=1, altitude=50.0, covariance=KNOWN, latitude=36.5):
         (NAN, FLAT, 'no_altitude'),
         (NAN, KNOWN, 'no_altitude'),
         (float('inf'), KNOWN, 'no_altitude'),
+        (-1e300, KNOWN, 'no_altitude'),
+        (1.1e5, KNOWN, 'no_altitude'),
         (50.0, FLAT, 'no_vertical_variance'),
         (50.0, np.diag([0.04, 0.09, 0.0]), 'no_vertical_variance'),
         (50.0, np.diag([0.04, 0.09, -1.0]), 'no_vertical_variance'),
@@ -37,6 +39,11 @@ def test_what_is_wrong_with_the_vertical_costs_the_vertical_only(altitude, covar
     np.testing.assert_allclose(used, np.diag([0.04, 0.09, NO_VERTICAL_SIGMA**2]), rtol=1e-9)
     assert [remark.reason for remark in made.remarks] == [word]
     assert 'horizontal' in made.remarks[0].text
+
+
+def test_a_bad_horizontal_is_told_beside_an_unknown_height():
+    made = fix(altitude=NAN, covariance=np.diag([NAN, 0.09, NAN]))
+    assert [remark.reason for remark in made.remarks] == ['no_altitude', 'no_variance']
 
 
 def test_a_whole_fix_is_not_remarked_and_a_bad_horizontal_is_unknown():

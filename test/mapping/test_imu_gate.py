@@ -7,7 +7,7 @@ import pytest
 from incremental_mapper.candidates.model import CoreKind, CoreMeasurement
 from incremental_mapper.frontend.imu_preintegration import ImuSeries
 from incremental_mapper.frontend.lidar_odometry import PreparedScan
-from incremental_mapper.mapping.imu_gate import gate
+from incremental_mapper.mapping.imu_gate import ImuGate, gate
 
 MS = 1_000_000
 EYE = np.eye(3)
@@ -86,3 +86,14 @@ def test_without_matches_nothing_is_known():
     samples = series()
     samples.gyro[12] = 30.0
     assert gate(samples, [], EYE).series is samples
+
+
+def test_a_knock_that_fills_a_window_is_left_out_whole():
+    held, usual = ImuGate(), series()
+    assert held.take(usual, MATCHES, EYE).refused == 0
+    force = usual.acceleration.copy()
+    force[5:45, 0] += 100.0
+    gated = held.take(ImuSeries(usual.stamps, usual.gyro, force), MATCHES, EYE)
+    assert gated.left_out.tolist() == usual.stamps[5:45].tolist()
+    # What comes after it is used again.
+    assert held.take(usual, MATCHES, EYE).refused == 0

@@ -37,9 +37,10 @@ def match(seconds):
     return PreparedScan(core, NOWHERE, NOWHERE, core.stamp - 100_000_000, pose)
 
 
-def watched(stream, seconds=10.0, config=None):
+def watched(stream, seconds=10.0, config=None, contradicted=()):
     """What a watch finds in samples and the matches beside them, in the order of their stamps."""
     watch = ImuWatch(make_config(config or {}))
+    watch.contradicted(np.array(contradicted, dtype=np.int64))
     matches = [match(at) for at in np.arange(0.3, seconds - 0.1, 0.1)]
     found = []
     for sample in stream:
@@ -72,6 +73,17 @@ def test_absurd_samples_and_stamps_are_no_evidence():
     assert watched(stream) == []
 
 
+def test_a_quarter_of_hostile_samples_does_not_cost_the_imu():
+    rng = np.random.default_rng(0)
+    stream = []
+    for sample in imu():
+        stream.append(sample)
+        if rng.random() < 0.33:
+            sizes = rng.choice([100.0, 1000.0, 1e5, 1e300], 3) * rng.choice([-1, 1], 3)
+            stream.append(replace(sample, stamp=sample.stamp + 1_000_000, gyro=sizes))
+    assert watched(stream) == []
+
+
 def test_an_imu_that_falls_silent_is_told_of():
     found = watched(imu(2.0))
     assert [one.rule for one in found] == ['imu_holes']
@@ -97,6 +109,29 @@ def test_what_switches_the_imu_off_is_asked_of_who_runs_the_mapper():
     watch.prepared([match(at) for at in np.arange(0.3, 9.0, 0.1)])
     assert watch.mend == {'imu': {'enabled': False}}
     assert [found.rule for found in watch.mended()] == ['imu_gyro_frozen']
+
+
+def knocked(stream, first, count):
+    """Samples of which some turn by 20 rad/s, and their stamps."""
+    turn = np.array([0.0, 0.0, 20.0])
+    hit = [replace(sample, gyro=turn) for sample in stream[first : first + count]]
+    return [*stream[:first], *hit, *stream[first + count :]], np.array([s.stamp for s in hit])
+
+
+def test_a_knock_that_was_left_out_does_not_switch_the_imu_off():
+    stream, stamps = knocked(imu(), 400, 20)
+    assert [one.rule for one in watched(stream)] == ['imu_disagrees']
+    assert watched(stream, contradicted=stamps) == []
+
+
+def test_an_imu_that_is_wrong_all_along_is_switched_off_beside_a_knock():
+    rng = np.random.default_rng(3)
+    wrong = [replace(sample, gyro=rng.normal(0.0, 2.0, 3)) for sample in imu(20.0)]
+    stream, stamps = knocked(wrong, 400, 20)
+    found = watched(stream, 20.0, contradicted=stamps)
+    assert 'imu_disagrees' in [one.rule for one in found]
+    every = np.array([sample.stamp for sample in stream])
+    assert 'imu_disagrees' in [one.rule for one in watched(stream, 20.0, contradicted=every)]
 
 
 def test_what_is_kept_does_not_grow_with_the_drive(monkeypatch):
@@ -129,3 +164,42 @@ def test_one_absurd_sample_is_no_evidence_against_the_imu():
     turn = np.zeros((700, 6))
     turn[100:240, 2] = 0.5
     assert not _spikes(turn).any()
+
+
+def two_lidars(late, config=None, seconds=20.0):
+    """What is found with a second LiDAR whose stamps are ``late`` s after the first one's."""
+    watch = ImuWatch(make_config(config or {'lidars': {'left': {}, 'right': {}}}))
+    for sample in imu(seconds):
+        watch.sample(sample)
+    found = []
+    for at in np.arange(0.3, seconds - 0.5, 0.1):
+        left = match(at)
+        moment = left.core.stamp + round(late * 1e9)
+        core = CoreMeasurement(moment, 'right', CoreKind.LIDAR)
+        right = replace(left, core=core, previous=moment - 100_000_000)
+        found += watch.matches([left, right])
+    return [*found, *watch.end()]
+
+
+@pytest.mark.parametrize('late', [0.2, -0.3])
+def test_one_lidar_whose_clock_is_off_is_found_and_gone_with_its_setting(late):
+    found = [one for one in two_lidars(late) if one.rule == 'lidar_clock']
+    assert found and {one.sensor for one in found} == {'right'}
+    settings = found[-1].settings
+    offset = settings['lidars']['right']['time_offset']
+    assert offset == pytest.approx(-late, abs=0.011)
+    rest = two_lidars(late + offset, {'lidars': {'left': {}, 'right': {'time_offset': offset}}})
+    assert [one.rule for one in rest if one.rule == 'lidar_clock'] == []
+
+
+def test_two_lidars_in_time_or_both_late_are_no_matter_of_one():
+    assert two_lidars(0.0) == []
+    shifted = ImuWatch(make_config({}))
+    for sample in imu(20.0):
+        shifted.sample(replace(sample, stamp=sample.stamp + 400_000_000))
+    found = []
+    for at in np.arange(1.0, 19.0, 0.1):
+        left = match(at)
+        found += shifted.matches([left, replace(left, core=replace(left.core, sensor='right'))])
+    found += shifted.end()
+    assert {one.rule for one in found} == {'imu_clock'}

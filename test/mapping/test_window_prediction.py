@@ -123,6 +123,68 @@ def test_window_waits_for_no_fix_that_is_not_due():
     assert np.quantile(usual, 0.99) < 0.08
 
 
+def test_fixes_that_were_missed_do_not_make_the_others_uncertain():
+    keys = drive(30, jitter=0.005, noise=3.0, without=[('gnss', 6.0, 12.5)])
+    _, _, waits = run(keys)
+    after = [wait for end, wait in waits if end > EPOCH + 15 * NANOSECONDS]
+    assert len(after) > 140
+    # One window of ten has a fix that is due.
+    assert np.quantile(after, 0.85) < 0.015
+
+
+def test_first_windows_wait_no_longer_than_until_all_sensors_have_sent():
+    keys = drive(20, jitter=0.005, noise=3.0)
+    seen = {}
+    for stamp, sensor in keys:
+        seen.setdefault(sensor, stamp)
+    _, held, waits = run(keys)
+    assert held[0][0] == min(stamp for stamp, sensor in keys if sensor != 'imu')
+    assert all(
+        end / NANOSECONDS + wait < max(seen.values()) / NANOSECONDS + 0.1 or wait < 0.1
+        for end, wait in waits
+    )
+
+
+def begun(keys):
+    """The buffer and what it told to begin with."""
+    told = []
+    sink = WindowBuffer(WindowSettings(), PERIODS, True, begin=told.append)
+    windows = []
+    for stamp, sensor in keys:
+        sink.push(measurement(sensor, stamp))
+        windows += sink.pop_ready()
+    windows += sink.flush()
+    return sink, told, [item for window in windows for item in window.core]
+
+
+def test_core_measurements_are_told_of_before_their_window_is_closed():
+    keys = drive(10, jitter=0.005, noise=3.0)
+    sink, told, core = begun(keys)
+    assert {id(item) for item in told} == {id(item) for item in core} and len(told) == len(core)
+    assert not sink.drops
+
+
+def test_what_comes_behind_one_that_was_begun_is_late():
+    keys = drive(10, {'left': 20, 'imu': 10})
+    places = [i for i, (_, sensor) in enumerate(keys) if sensor == 'left']
+    at = next(i for i in places[200:] if 20 < (keys[i][0] - keys[places[0]][0]) / MS % 100 < 70)
+    keys.insert(at + 3, keys.pop(at))
+    sink, told, core = begun(keys)
+    left = [item.stamp for item in core if item.sensor == 'left']
+    assert left == sorted(left) == [item.stamp for item in told if item.sensor == 'left']
+    assert sink.drops == {('left', 'late'): 1}
+
+
+def test_a_stray_stamp_ahead_is_not_begun():
+    keys = drive(10, jitter=0.0)
+    place = [i for i, (_, sensor) in enumerate(keys) if sensor == 'left'][40]
+    keys[place] = (keys[place][0] + 700 * MS, 'left')
+    _, told, core = begun(keys)
+    stray = (keys[place][0], 'left')
+    assert stray not in {(item.stamp, item.sensor) for item in told}
+    assert stray in {(item.stamp, item.sensor) for item in core}
+
+
 def test_without_prediction_a_window_waits_in_full():
     _, _, waits = run(drive(20, jitter=0.005, noise=3.0), predict=False)
     assert np.quantile([wait for _, wait in waits], 0.5) > 0.4

@@ -1,7 +1,6 @@
 """``~/odometry_imu``: what goes out with samples, and what diagnostics say of it."""
 
 import time
-from dataclasses import replace
 
 import gtsam
 import numpy as np
@@ -18,11 +17,10 @@ from ros_helpers import next_domain, stamp_of
 
 from incremental_mapper.mapping.newest_state import NewestState
 from incremental_mapper.mapping.odometry_frame import OdometryPose
-from incremental_mapper.mapping.result import WindowResult
 from incremental_mapper.measurements import FixStatus, GnssFix, ImuSample
 from incremental_mapper.ros.imu_odometry import make_imu_odometry
 from incremental_mapper.ros.result_messages import read_status
-from incremental_mapper.ros.updates import WindowUpdate
+from incremental_mapper.ros.updates import PoseUpdate
 from incremental_mapper.settings import make_config
 
 SECOND = 1_000_000_000
@@ -47,8 +45,7 @@ def window(stamp):
     newest = NewestState(stamp, pose, known, SPEED, np.eye(3) * 1e-2, bias=bias)
     T_map_odom = gtsam.Pose3(gtsam.Rot3(), np.array([0.0, 9.0, 0.0]))
     odometry = OdometryPose(T_map_odom.between(pose), known, T_map_odom)
-    result = WindowResult(0, stamp, stamp, None, (), (), {})
-    return WindowUpdate(result, newest, odometry, np.zeros((0, 3)), {}, ())
+    return PoseUpdate(newest, odometry)
 
 
 @pytest.fixture
@@ -72,7 +69,7 @@ def test_samples_go_out_in_odom_from_the_newest_window_on(node):
     executor.add_node(node)
     made.take(sample(0))
     assert made.status().level == b'\x01' and 'no window' in made.status().message
-    made.window(window(10 * SECOND))
+    made.pose(window(10 * SECOND))
     made.take(GnssFix(10 * SECOND, 'gnss', 37.0, 127.0, 5.0, FixStatus.FIX))
     end = time.monotonic() + 5.0
     while node.count_publishers('/car/odometry_imu') == 0 and time.monotonic() < end:
@@ -95,7 +92,6 @@ def test_samples_go_out_in_odom_from_the_newest_window_on(node):
     assert variances == sorted(variances) and variances[0] < variances[-1]
     told = made.status()
     assert told.level == b'\x00' and read_status(told)['rate_hz'] > 0.0
-    made.window(replace(window(10 * SECOND + SECOND // 10), odometry=None))
     assert made.status().level == b'\x01'  # nothing came since
     made.restart(CONFIG)
     made.take(sample(30))

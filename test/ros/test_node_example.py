@@ -12,7 +12,7 @@ from drive_edits import FILES
 pytest.importorskip('rclpy', reason='rclpy is not installed (extra "ros")')
 
 SCRIPT = Path(__file__).parents[2] / 'examples' / 'play_into_node.py'
-SETTINGS = '/**: {ros__parameters: {mom: {max_points: 100}, queue: {core: 3000}}}\n'
+SETTINGS = '/**: {ros__parameters: {mom: {max_points: 100}, queue: {core: 3000, max_delay: 0.0}}}\n'
 
 
 def run_example(*words):
