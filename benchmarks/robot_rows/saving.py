@@ -253,14 +253,13 @@ def store_full(folder: Path) -> Seen:
 
 def long_drive(folder: Path, rounds: int) -> Drive:
     """A bag of so many minutes below ``folder``, as one drive."""
-    config = Path('config/kaist.yaml')
     options = SimulationOptions(motion=MotionKind.MIXED, duration=ROUND, seed=SEED)
     simulate(folder / 'minute', options, None)
     write_repeated(folder / 'minute', folder / 'bag', rounds)
     shutil.rmtree(folder / 'minute')
-    info = open_source(folder / 'bag', read_yaml(config)).info
+    info = open_source(folder / 'bag', read_yaml(CONFIG)).info
     return Drive(
-        folder / 'bag', (folder / 'bag' / SETTINGS_FILE, config), info.counts, info.duration
+        folder / 'bag', (folder / 'bag' / SETTINGS_FILE, CONFIG), info.counts, info.duration
     )
 
 
@@ -271,7 +270,7 @@ def save_while_driving(folder: Path, rounds: int) -> Seen:
     """
     drive = long_drive(folder, rounds)
     last = (rounds - 1) * ROUND
-    waiting = {'queue.core': 100_000, 'queue.imu': 1_000_000}
+    waiting = {'queue.core': 100_000, 'queue.imu': 1_000_000, 'queue.max_delay': 0.0}
     with trial(folder, drive, **waiting) as run:
         run.send('--duration', last, '--rate', HASTE)
         run.catch_up()
