@@ -1,6 +1,7 @@
 """Saving while the robot drives, while somebody ends the node, and where the disk is full."""
 
 import atexit
+import math
 import resource
 import shutil
 import signal
@@ -143,10 +144,13 @@ def savers(node: int) -> list[int]:
     found = []
     own = Path(f'/proc/{node}/cmdline').read_bytes()
     for task in Path(f'/proc/{node}/task').iterdir():
-        for child in (task / 'children').read_text(encoding='ascii').split():
-            fields = Path(f'/proc/{child}/stat').read_text(encoding='ascii').rpartition(')')[2]
-            if fields.split()[3] == child and Path(f'/proc/{child}/cmdline').read_bytes() == own:
-                found.append(int(child))
+        # Threads and processes may end while they are looked at.
+        with suppress(OSError):
+            for child in (task / 'children').read_text(encoding='ascii').split():
+                fields = Path(f'/proc/{child}/stat').read_text(encoding='ascii').rpartition(')')[2]
+                same = Path(f'/proc/{child}/cmdline').read_bytes() == own
+                if fields.split()[3] == child and same:
+                    found.append(int(child))
     return found
 
 
@@ -283,19 +287,20 @@ def save_while_driving(folder: Path, rounds: int) -> Seen:
             seconds = (time.monotonic_ns() - asked) / NANOSECONDS
             answered = time.time_ns()
             wait_until(lambda: player.poll() is not None, 2.0 * ROUND)
+        run.catch_up()
         lags = window_lags(run.client.odometry[begin:])
         before = [lag for sent, lag in lags if sent < answered - seconds * NANOSECONDS]
         during = [lag for sent, lag in lags if answered - seconds * NANOSECONDS <= sent <= answered]
-        run.catch_up()
         clusters = run.client.stats[-1]['clusters']
         ended, stands = end_as_launch(run, folder)
     whole = {name: complete(folder / name) for name in ('saved', 'saved_2', 'last')}
     all_there = whole['last'] and len(FinishedRun(folder / 'last').graph['clusters']) >= clusters
-    added = max(during) - max(before)
+    worst = max(during, default=math.inf)  # where none came at all
+    added = worst - max(before)
     duration = Config().window.duration
     return Seen(
         f'{message} after {seconds:.1f} s; windows came at most {max(before):.3f} s later than the '
-        f'earliest one before it, {max(during):.3f} s during it, of {duration:g} s each; then '
+        f'earliest one before it, {worst:.3f} s during it, of {duration:g} s each; then '
         f'{ended}; the save under way and the last one stood {stands} after SIGINT; complete: '
         f'{", ".join(name for name, ok in whole.items() if ok) or "none"}, '
         f'{clusters} clusters {"all there" if all_there else "NOT all there"}',
