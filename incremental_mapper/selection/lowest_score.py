@@ -42,7 +42,10 @@ class LowestScore:
     """Solves the connected candidates and takes the one with the lowest score."""
 
     def __init__(
-        self, make_criterion: MakeCriterion, warm_up: Callable[[], None] = _nothing
+        self,
+        make_criterion: MakeCriterion,
+        warm_up: Callable[[], None] = _nothing,
+        breaks_ties: bool = False,
     ) -> None:
         """A strategy out of a criterion.
 
@@ -50,7 +53,9 @@ class LowestScore:
             make_criterion: Makes the criterion of a window from its problem and its proposals.
                 With its third argument off, exact values are not needed yet.
             warm_up: Compiles or loads what the criterion needs.
+            breaks_ties: Whether it goes by ``selection.tie_confidence``.
         """
+        self._breaks_ties = breaks_ties
         self._make_criterion = make_criterion
         self._warm_up = warm_up
 
@@ -70,7 +75,7 @@ class LowestScore:
 
     def select(self, problem: WindowProblem) -> Choice:
         """See Strategy."""
-        return _Selection(problem, self._make_criterion).run()
+        return _Selection(problem, self._make_criterion, self._breaks_ties).run()
 
     def warm_up(self) -> None:
         """See Strategy."""
@@ -86,16 +91,19 @@ def _make_mom(
     return mom_criterion(local_map, config.mom, config.selection.direct, exact)
 
 
-lowest_mom = LowestScore(_make_mom, mom.warm_up)
+lowest_mom = LowestScore(_make_mom, mom.warm_up, breaks_ties=True)
 """The method of the paper."""
 
 
 class _Selection:
     """One window's way to its choice."""
 
-    def __init__(self, problem: WindowProblem, make_criterion: MakeCriterion) -> None:
+    def __init__(
+        self, problem: WindowProblem, make_criterion: MakeCriterion, breaks_ties: bool
+    ) -> None:
         self._problem = problem
         self._settings = problem.config.selection
+        self._breaks_ties = breaks_ties and self._settings.tie_confidence > 0.0
         self._make_criterion = make_criterion
         self._clock = Stopwatch()
         self._proposals: list[Proposal] = []
@@ -112,7 +120,7 @@ class _Selection:
         self._solver = CandidateSolver(
             problem.prior, problem.factors, problem.guess, problem.config.graph.max_iterations
         )
-        self._propose(pool.eligible)
+        self._propose(self._linked_first(pool.eligible))
         criterion = self._make_criterion(problem, self._proposals, True)
         self._scores = criterion.scores(self._proposals)
         clock.lap('score')
@@ -125,7 +133,7 @@ class _Selection:
         if self._settings.verify and isinstance(criterion, Mom):
             verification = verify(criterion, self._proposals, clock.seconds.get('score', 0.0))
             clock.lap('verify')
-        best = self._best(self._choosable(criterion))
+        best = self._best(self._scores)
         tied = self._tied(criterion, best)
         judged = {
             id(proposal.candidate): (
@@ -199,23 +207,19 @@ class _Selection:
     def _best(self, scores: Sequence[float]) -> int | None:
         return best_index(scores, [proposal.candidate for proposal in self._proposals])
 
-    def _breaks_ties(self, criterion: Criterion) -> bool:
-        return self._settings.tie_confidence > 0.0 and isinstance(criterion, Mom)
-
-    def _choosable(self, criterion: Criterion) -> list[float]:
-        """The scores; infinite for those that are not linked before the velocity is known.
+    def _linked_first(self, eligible: Sequence[Candidate]) -> Sequence[Candidate]:
+        """Before the velocity is known, those that are linked, where there are any.
 
         Then two LiDARs' scans may stand anywhere to each other within what the speed could be,
         which a map of so few scans does not show. Spans can tell it later, where there are any.
         """
-        linked = [proposal.candidate.linked for proposal in self._proposals]
-        if self._problem.may_merge or not self._breaks_ties(criterion) or not any(linked):
-            return self._scores
-        return [score if fine else np.inf for score, fine in zip(self._scores, linked, strict=True)]
+        if self._problem.may_merge or not self._breaks_ties:
+            return eligible
+        return [item for item in eligible if item.linked] or eligible
 
     def _tied(self, criterion: Criterion, best: int | None) -> list[bool] | None:
         """Which proposals cannot be told from the best; None where that is not asked."""
-        if best is None or not isinstance(criterion, Mom) or not self._breaks_ties(criterion):
+        if best is None or not isinstance(criterion, Mom) or not self._breaks_ties:
             return None
         confidence = self._settings.tie_confidence
         return [bool(tied) for tied in criterion.ties(self._proposals, best, confidence)]
