@@ -83,6 +83,11 @@ class Trial:
         while self.client.fresh_diagnostics(PATIENCE)['worker']['queue_core'] > 0:
             pass
 
+    def samples(self) -> int:
+        """How many IMU samples have come."""
+        received: int = self.client.fresh_diagnostics(PATIENCE)['imu']['received']
+        return received
+
     def try_save(self) -> None:
         """Call save_map of a node that may end before it answers."""
         with suppress(InputError):
@@ -278,9 +283,11 @@ def save_while_driving(folder: Path, rounds: int) -> Seen:
     with trial(folder, drive, **waiting) as run:
         run.send('--duration', last, '--rate', HASTE)
         run.catch_up()
-        begin = len(run.client.odometry)
+        heard = run.samples()
         with running(run.player('--start', last), run.environment, DEVNULL, DEVNULL) as player:
-            wait_until(lambda: len(run.client.odometry) > begin, START)
+            # The player takes seconds to begin, and windows of what was sent before may still come.
+            wait_until(lambda: run.samples() > heard, START)
+            begin = len(run.client.odometry)
             time.sleep(SETTLED)
             asked = time.monotonic_ns()
             success, message = run.client.call('save_map', PATIENCE)

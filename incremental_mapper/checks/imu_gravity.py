@@ -11,6 +11,9 @@ from incremental_mapper.measurements import NANOSECONDS
 
 PART = NANOSECONDS // 5
 """Nanoseconds over which samples are averaged, so that vibration plays no part."""
+LOUD = 8.0
+"""Samples that are so many times as large as the median are no evidence: a part with one of 500
+m/s^2 among it says nothing of gravity. A car on a kerb has up to 5."""
 FIRST = 0.5
 """Seconds of samples after which the first decisions are made."""
 SOON = 2.0
@@ -62,6 +65,9 @@ def measure_gravity(stamps: NDArray[np.int64], acceleration: NDArray[np.float64]
         stamps: Of the samples (N,), ns, in time order.
         acceleration: (N, 3), in the IMU's frame.
     """
+    sizes = np.linalg.norm(acceleration, axis=1)
+    quiet = sizes <= LOUD * np.median(sizes) if len(sizes) else np.zeros(0, dtype=bool)
+    stamps, acceleration = stamps[quiet], acceleration[quiet]
     if len(stamps) < 4:
         return None
     number = (stamps - stamps[0]) // PART

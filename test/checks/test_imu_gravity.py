@@ -79,3 +79,14 @@ def test_a_scale_that_is_somewhat_off_is_told_but_not_used():
 
 def test_hardly_any_samples_say_nothing():
     assert measure_gravity(np.arange(3), np.ones((3, 3))) is None
+
+
+def test_a_quarter_of_absurd_samples_says_nothing_of_the_unit():
+    stamps, _, force = samples(6.0)
+    rng = np.random.default_rng(0)
+    absurd = rng.random(len(stamps)) < 0.25
+    force[absurd] = rng.choice([500.0, 1e4, 1e5], (int(absurd.sum()), 3))
+    for count in (60, 250, 600):
+        found = measure_gravity(stamps[:count], force[:count])
+        assert found is not None
+        assert check_gravity(found, Imu(), GRAVITY) is None
