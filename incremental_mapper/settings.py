@@ -29,6 +29,15 @@ def merge(low: Mapping[str, Any], high: Mapping[str, Any]) -> Tree:
     return merged
 
 
+def as_it_was(before: Mapping[str, Any], changed: Mapping[str, Any]) -> Tree:
+    """What ``before`` says of the settings that ``changed`` names."""
+    return {
+        key: as_it_was(before.get(key, {}), value) if isinstance(value, Mapping) else before[key]
+        for key, value in changed.items()
+        if key in before
+    }
+
+
 def read_yaml(path: Path) -> Tree:
     """Read a settings file in either layout; raises ConfigError."""
     try:

@@ -14,7 +14,7 @@ from robot_rows import Seen, row
 from robot_rows.clocks import dropped, live, messages
 
 SECONDS = 20.0
-BUSY = 12
+BUSY = 6
 """Programs that do nothing but take the processors away."""
 WARM_UP = 30
 """Windows after which the latency counts."""
@@ -34,7 +34,7 @@ def busy(count: int) -> Iterator[None]:
 
 @row('latency grew to 5 s within 12 s')
 def busy_machine(folder: Path) -> Seen:
-    """20 s at KAIST's rates while a dozen programs take the processors away."""
+    """20 s at KAIST's rates while six programs take the processors away."""
     sent = [item for item in messages() if item.at < SECONDS]
     seen = live(folder, sent, {'queue.max_delay': 1.0}, beside=lambda: busy(BUSY))
     p50, p99, worst = np.percentile(seen.latencies[WARM_UP:], [50, 99, 100]) / 1e3

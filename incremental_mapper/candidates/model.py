@@ -87,6 +87,22 @@ class Candidate:
         return frozenset(ends | {connection.start for connection in self.connections})
 
     @property
+    def linked(self) -> bool:
+        """Whether each LiDAR has a scan in a cluster at which a span starts or ends.
+
+        Matches hold a LiDAR's scans together, and nothing holds those of two LiDARs but spans and
+        clusters that they share: without them the two chains drift apart, and no map shows it.
+        """
+        lidars = {
+            core.sensor
+            for cluster in self.clusters
+            for core in cluster.members
+            if core.kind is CoreKind.LIDAR
+        }
+        ends = self.inertial_clusters - {HEAD}
+        return lidars <= {core.sensor for end in ends for core in self.clusters[end].members}
+
+    @property
     def merges(self) -> bool:
         """Whether measurements of different stamps share a cluster."""
         return any(cluster.time_range > 0 for cluster in self.clusters)

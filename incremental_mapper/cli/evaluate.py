@@ -26,7 +26,7 @@ from incremental_mapper.evaluation.record import Evaluation
 from incremental_mapper.evaluation.table_files import Reference, read_csv, write_tables
 from incremental_mapper.evaluation.table_text import plain_table
 from incremental_mapper.evaluation.workers import ClusterWorkers, LocalWorkers, Workers
-from incremental_mapper.selection.strategies import strategy_names
+from incremental_mapper.selection.strategies import labelled, strategy_names
 from incremental_mapper.settings import make_config, merge, read_yaml
 from incremental_mapper.visualization.extras import LIBRARIES, importable, left_out
 
@@ -58,7 +58,8 @@ def add_parser(subparsers: Any) -> None:
         '--strategies',
         default=STRATEGIES,
         metavar='A,B,...',
-        help='strategies in the order of the table (default: %(default)s)',
+        help='strategies in the order of the table; NAME@X is NAME with selection.tie_confidence '
+        'X, so that mom@0,mom@0.5,mom@0.95 is a sweep (default: %(default)s)',
     )
     parser.add_argument(
         '--truth',
@@ -164,10 +165,12 @@ def _evaluate(plan: Plan, todo: Sequence[Job], workers: Workers) -> Evaluation:
 def _plan(args: argparse.Namespace) -> Plan:
     strategies = tuple(dict.fromkeys(name.strip() for name in args.strategies.split(',')))
     for name in strategies:
-        if name not in strategy_names():
+        known, own = labelled(name)
+        if known not in strategy_names():
             raise ConfigError(
                 f'--strategies: {name!r} is none; known are {", ".join(strategy_names())}'
             )
+        make_config(own, f'--strategies: {name}')
     if args.jobs < 1:
         raise ConfigError(f'--jobs is {args.jobs}; expected 1 or more')
     where = str(args.config or 'settings')

@@ -12,6 +12,7 @@ from incremental_mapper.evaluation import cache
 from incremental_mapper.evaluation.workers import stop_of_this_process
 from incremental_mapper.results.offline_run import map_into, open_drive
 from incremental_mapper.results.run_folder import prepare_folder
+from incremental_mapper.selection.strategies import labelled
 from incremental_mapper.settings import merge
 from incremental_mapper.trajectory import Trajectory, write_tum
 
@@ -70,7 +71,7 @@ def plan_jobs(
     Args:
         inputs: What is to be mapped; what is given twice is taken once.
         out_dir: The folder of the evaluation.
-        strategies: Names, in the order of the table.
+        strategies: Labels, see ``strategies.labelled``, in the order of the table.
         tree: The user's settings.
         where: Where they come from, for messages.
         truth: A file of true poses that replaces the truth in every input.
@@ -81,8 +82,8 @@ def plan_jobs(
     for path, name in zip(paths, sequence_names(paths), strict=True):
         prints = [cache.input_fingerprint(path), cache.file_fingerprint(own_truth)]
         for strategy in strategies:
-            settings = merge(tree, {'selection': {'strategy': strategy}})
-            program = cache.program(strategy)
+            known, own = labelled(strategy)
+            settings, program = merge(tree, own), cache.program(known)
             key = cache.digest([*prints, settings, program])
             folder = out_dir.resolve() / name / strategy
             jobs.append(Job(name, strategy, path, own_truth, folder, settings, where, key, program))
@@ -124,7 +125,7 @@ def run_job(job: Job) -> Outcome:
 
 
 def _run(job: Job) -> Outcome:
-    own = cache.program(job.strategy)
+    own = cache.program(labelled(job.strategy)[0])
     different = sorted(name for name, value in own.items() if job.program.get(name) != value)
     if different:
         name = different[0]

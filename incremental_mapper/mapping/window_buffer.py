@@ -96,6 +96,7 @@ class WindowBuffer:
         self._paces: dict[str, Pace] = {}
         self._better, self._begin = better, begin
         self._begun: dict[str, int] = {}  # newest stamp by sensor
+        self._unbegun: set[tuple[int, str]] = set()  # core measurements that wait
         self._duration = round(settings.duration * NANOSECONDS)
         self._lateness = round(settings.lateness * NANOSECONDS)
         self._core: dict[tuple[int, str], CoreInput] = {}
@@ -256,6 +257,8 @@ class WindowBuffer:
             if self._begin is not None and self._comes_next(stamp, sensor):
                 self._begun[sensor] = stamp
                 self._begin(measurement)
+            else:
+                self._unbegun.add(key)
         if self._predict:
             self._learn(stamp, sensor)
         newest = max(self._newest.values(), default=stamp)
@@ -265,9 +268,12 @@ class WindowBuffer:
 
     def _comes_next(self, stamp: int, sensor: str) -> bool:
         """Whether a message is the next of its sensor; a stray one ahead of all others is not."""
+        if any(name == sensor for _, name in self._unbegun):
+            return False  # it is handed out first
         others = (newest for name, newest in self._newest.items() if name != sensor)
         last = self._newest.get(sensor, -1)
-        return last < stamp <= max(others, default=last) + self._duration
+        usual = max(others, default=last if last >= 0 else stamp)
+        return last < stamp <= usual + self._duration
 
     def _learn(self, stamp: int, sensor: str) -> None:
         """Keep what is usual for a sensor, before its stamp is the newest."""
@@ -316,6 +322,7 @@ class WindowBuffer:
         core = sorted(key for key in self._core if key[0] < end)
         imu = sorted(key for key in self._imu if key[0] < end)
         self._start = end
+        self._unbegun.difference_update(core)
         if core:
             self._closed_core = core[-1][0]
         if imu:

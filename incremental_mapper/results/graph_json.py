@@ -8,7 +8,7 @@ import gtsam
 import numpy as np
 
 from incremental_mapper.candidates.model import CoreMeasurement
-from incremental_mapper.graph.factors import Factor, pose_numbers
+from incremental_mapper.graph.factors import Factor, factors_data, poses_numbers
 from incremental_mapper.smoothing.graph_state import PlacedCluster
 from incremental_mapper.variables import cluster_of, key_name, kind_of
 
@@ -55,6 +55,8 @@ def graph_tree(
         (int(key) for key in values.keys()),  # noqa: SIM118 (no mapping)
         key=lambda key: (cluster_of(key), kind_of(key) != 'x', key),
     )
+    poses = [key for key in keys if kind_of(key) == 'x']
+    numbers = dict(zip(poses, poses_numbers([values.atPose3(key) for key in poses]), strict=True))
     return {
         'format': 1,
         'frame': 'map',
@@ -65,7 +67,7 @@ def graph_tree(
                 'kind': KINDS[kind_of(key)],
                 'cluster': cluster_of(key),
                 'stamp_ns': stamps[cluster_of(key)],
-                'value': _value(values, key),
+                'value': numbers[key] if key in numbers else _value(values, key),
             }
             for key in keys
         ],
@@ -87,9 +89,9 @@ def graph_tree(
                 'variables': [key_name(key) for key in factor.keys],
                 'sensor': factor.sensor,
                 'stamps_ns': list(factor.stamps),
-                **factor.data,
+                **data,
             }
-            for factor in factors
+            for factor, data in zip(factors, factors_data(factors), strict=True)
         ],
     }
 
@@ -139,10 +141,8 @@ def compare_graphs(
 
 
 def _value(values: gtsam.Values, key: int) -> list[float]:
-    kind = key_name(key)[0]
-    if kind == 'x':
-        return pose_numbers(values.atPose3(key))
-    vector = values.atVector(key) if kind == 'v' else values.atConstantBias(key).vector()
+    velocity = kind_of(key) == 'v'
+    vector = values.atVector(key) if velocity else values.atConstantBias(key).vector()
     return [float(number) for number in vector]
 
 

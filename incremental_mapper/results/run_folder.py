@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from incremental_mapper.errors import ConfigError, InputError, OutputError
+from incremental_mapper.finite import not_finite
 from incremental_mapper.map.cloud import write_ply
 from incremental_mapper.mapping.result import MapResult
 from incremental_mapper.measurements import NANOSECONDS
@@ -103,14 +104,17 @@ def write_result(
     Raises:
         OutputError: A file cannot be written.
     """
-    _write(folder / TRAJECTORY, lambda path: write_tum(path, result.trajectory))
+    poses = result.trajectory
+    _refuse(folder / TRAJECTORY, positions=poses.positions, quaternions=poses.quaternions)
+    _write(folder / TRAJECTORY, lambda path: write_tum(path, poses))
     graph = graph_tree(result.clusters, result.factors, result.values)
-    _write(folder / GRAPH, lambda path: _write_json(path, graph))
+    _write_json(folder / GRAPH, graph)
     _write(folder / GRAPH_G2O, lambda path: _write_g2o(path, result))
     _write(folder / WINDOWS, lambda path: _write_rows(path, result.rows))
     for record in result.failed:
         _write(folder / record.name, partial(Path.write_bytes, data=record.data))
-    _write(folder / STATISTICS, lambda path: _write_json(path, stats, indent=2))
+    _write_json(folder / STATISTICS, stats, indent=2)
+    _refuse(folder / MAP, points=cloud)
     _write(folder / MAP, lambda path: write_ply(path, cloud))
 
 
@@ -292,9 +296,13 @@ def _write_g2o(path: Path, result: MapResult) -> None:
 
 
 def _write_json(path: Path, tree: Mapping[str, Any], indent: int | None = None) -> None:
-    with path.open('w', encoding='utf-8') as file:
+    try:
         # Not json.dump, which has no compiled writer: of a long drive it takes seconds.
-        file.write(json.dumps(tree, indent=indent, allow_nan=False) + '\n')
+        text = json.dumps(tree, indent=indent, allow_nan=False) + '\n'
+    except ValueError as error:
+        # It does not say which one.
+        raise OutputError(f'{path}: not written: a number is not finite') from error
+    _write(path, partial(Path.write_text, data=text, encoding='utf-8'))
 
 
 def _write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
@@ -302,6 +310,13 @@ def _write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
         writer = csv.DictWriter(file, fieldnames=list(rows[0]) if rows else ['window'])
         writer.writeheader()
         writer.writerows(rows)
+
+
+def _refuse(path: Path, **numbers: NDArray[np.floating]) -> None:
+    """Raise OutputError where a file would hold numbers that are not finite."""
+    wrong = not_finite(numbers)
+    if wrong:
+        raise OutputError(f'{path}: not written: {wrong} are not finite')
 
 
 def _write(path: Path, write: Callable[[Path], object]) -> None:

@@ -11,6 +11,7 @@ from incremental_mapper.config import Config
 from incremental_mapper.datasets.sensor_settings import with_settings
 from incremental_mapper.mapping.imu_prediction import ImuPrediction
 from incremental_mapper.measurements import ImuSample, Measurement
+from incremental_mapper.ros.finite_gate import FiniteGate
 from incremental_mapper.ros.publishers import QUIET, node_name, reliable
 from incremental_mapper.ros.result_messages import odometry_message, status
 from incremental_mapper.ros.updates import PoseUpdate
@@ -32,6 +33,7 @@ class ImuOdometry:
         self._counted, self._since = 0, time.monotonic()
         self._most = 0.0
         self._prediction = ImuPrediction(config)
+        self._gate = FiniteGate(node.get_logger().error)
 
     def take(self, measurement: Measurement) -> None:
         """Take a measurement as its message has it; those of other sensors are left alone."""
@@ -40,7 +42,10 @@ class ImuOdometry:
         sample = with_settings(measurement, self._config)
         assert isinstance(sample, ImuSample)
         predicted = self._prediction.take(sample)
-        if predicted is not None:
+        if predicted is None:
+            return
+        pose = predicted.pose.matrix()
+        if self._gate.passes('~/odometry_imu', pose=pose, velocity=predicted.velocity):
             frames = self._config.frames
             self._publisher.publish(odometry_message(predicted, frames.odom, frames.base))
 

@@ -82,10 +82,10 @@ class Inbox:
     def __init__(
         self, settings: QueueSettings, clock: Callable[[], float] = time.monotonic
     ) -> None:
-        """Begin empty; ``clock`` tells the seconds by which delays are measured."""
+        """Begin empty; ``clock`` tells when what is put in came, in seconds."""
         self._limits = {True: settings.imu, False: settings.core}
         self._max_delay = settings.max_delay
-        self._clock = clock
+        self.clock = clock
         self._items: deque[_Entry] = deque()
         self._scans: Counter[str] = Counter()  # that wait, by sensor
         self._newest = 0.0  # arrival
@@ -102,7 +102,7 @@ class Inbox:
                 if self._counts[inertial] >= self._limits[inertial]:
                     self._drop_oldest(inertial)
                 self._counts[inertial] += 1
-                self._newest = self._clock()
+                self._newest = max(self.clock(), self._newest)
                 self._scans[item.sensor] += isinstance(item, LidarScan)
             self._items.append(_Entry(item, self._newest))
             self._filled.notify()

@@ -107,6 +107,8 @@ class MapperNode:
         self._guard = self.node.create_guard_condition(self._on_updates)
         self._worker = Worker(config, self._take_update)
         self._inputs = Inputs(self.node, config, self._on_measurement)
+        # By when they reached the middleware: a machine that is busy leaves messages there.
+        self._worker.inbox.clock = lambda: self._inputs.moment
         self._watch = InputWatch(self._inputs.topics, config.lidars)
         self._extrinsics = self._make_extrinsics()
         self._worker.save_settings = lambda: self.parameters.config.save

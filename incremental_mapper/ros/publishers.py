@@ -19,6 +19,7 @@ from visualization_msgs.msg import MarkerArray
 
 from incremental_mapper.config import Config
 from incremental_mapper.ros.datum_publisher import DatumPublisher
+from incremental_mapper.ros.finite_gate import FiniteGate
 from incremental_mapper.ros.inbox import Inbox, View
 from incremental_mapper.ros.live_map import GraphView, PathView
 from incremental_mapper.ros.markers import graph_markers, no_markers
@@ -90,6 +91,7 @@ class Outputs:
         self._node = node
         self._node_name = node_name(node)
         self._windows = 0  # counts changes of the map
+        self._gate = FiniteGate(node.get_logger().error)
 
         def publish(kind: type, topic: str, qos: QoSProfile) -> Any:
             return node.create_publisher(kind, topic, qos, event_callbacks=QUIET)
@@ -109,6 +111,8 @@ class Outputs:
 
     def pose(self, update: PoseUpdate) -> None:
         """Publish what others steer by."""
+        if not self._sound(update):
+            return
         newest, frames = update.newest, self._frames
         self._odometry.publish(odometry_message(newest, frames.map, frames.base))
         in_frame = in_odom(newest, update.odometry)
@@ -127,9 +131,26 @@ class Outputs:
         if newest is None:
             return
         self._windows += 1
-        self._poses.publish(pose_array(stamp, result.poses, frame))
-        if self._increment.get_subscription_count() > 0:
+        if self._gate.passes('~/poses', poses=[pose.matrix() for pose in result.poses]):
+            self._poses.publish(pose_array(stamp, result.poses, frame))
+        wanted = self._increment.get_subscription_count() > 0
+        if wanted and self._gate.passes('~/map_increment', points=update.points):
             self._increment.publish(cloud_message(stamp, update.points, frame))
+
+    def _sound(self, update: PoseUpdate) -> bool:
+        """Whether the newest state may be published."""
+        newest, odometry = update.newest, update.odometry
+        return self._gate.passes(
+            '~/odometry, ~/odom and TF',
+            pose=newest.pose.matrix(),
+            covariance=newest.covariance,
+            velocity=newest.velocity,
+            velocity_covariance=newest.velocity_covariance,
+            rate=newest.rate,
+            rate_covariance=newest.rate_covariance,
+            pose_in_odom=odometry.pose.matrix(),
+            covariance_in_odom=odometry.covariance,
+        )
 
     def sensors(self, places: Mapping[str, NDArray[np.float64]]) -> None:
         """Tell where the sensors are, T_base_sensor (4, 4) by frame_id."""
@@ -142,6 +163,14 @@ class Outputs:
         shown.asked = False
         begin = time.monotonic()
         frame, content = self._frames.map, update.content
+        if isinstance(content, PathView):
+            numbers: dict[str, Any] = {'poses': content.poses}
+        elif isinstance(content, GraphView):
+            numbers = {'poses': content.poses, 'priors': content.priors, **content.edges}
+        else:
+            numbers = {'points': content}
+        if not self._gate.passes(f'~/{update.view}', **numbers):
+            return
         if isinstance(content, PathView):
             message = path_message(update.stamp, content, frame)
         elif isinstance(content, GraphView):

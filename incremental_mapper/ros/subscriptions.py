@@ -75,6 +75,8 @@ class Inputs:
         self._newest: dict[str, int] = {}
         self._counted: Counter[str] = Counter()
         self._since = time.monotonic()
+        self.moment = 0.0
+        """When the middleware received what is handed on, seconds of the system's clock."""
         self._offsets: dict[str, int] = {}
         sensors = {**config.lidars, IMU: config.imu, GNSS: config.gnss}
         self._clocks = ClockLog(tuple(name for name, item in sensors.items() if item.time_offset))
@@ -183,4 +185,5 @@ class Inputs:
             self._logger.info(f'{name}: first message on {self.topics[name]}{said}')
         self._newest[name] = max(measurement.stamp, self._newest.get(name, 0))
         self._clocks.take(name, measurement.stamp, received)
+        self.moment = received / NANOSECONDS
         self._hand_on(measurement, str(message.header.frame_id))

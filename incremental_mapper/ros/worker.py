@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 
 from incremental_mapper.checks.finding import Finding, ranked
+from incremental_mapper.checks.fix_shape import without_consequences
 from incremental_mapper.config import Config, SaveSettings
 from incremental_mapper.datasets.sectors import SectorGatherer
 from incremental_mapper.datasets.sensor_settings import with_settings
@@ -20,7 +21,7 @@ from incremental_mapper.ros.saves import Saves
 from incremental_mapper.ros.saving import Snapshot
 from incremental_mapper.ros.time_jumps import JumpFilter, step_findings
 from incremental_mapper.ros.updates import Reply, Restarted, Trouble, Update, WindowUpdate
-from incremental_mapper.settings import make_config, merge, to_tree
+from incremental_mapper.settings import as_it_was, make_config, merge, to_tree
 
 SHUTDOWN = 'shutdown'
 """Why a measurement was lost that waited when the time to stop was over."""
@@ -50,6 +51,7 @@ class Worker:
 
     def __init__(self, config: Config, emit: Callable[[Update], None]) -> None:
         self.config = config
+        self._given = to_tree(config)
         self.inbox = Inbox(config.queue)
         self.jumps = JumpFilter(config.time_jump)
         self.outside_drops: Callable[[], Drops] = Drops
@@ -214,13 +216,17 @@ class Worker:
 
     def _renew(self, renewal: Renewal) -> None:
         """Begin a new map with other settings, and map again what is still at hand."""
+        kept = without_consequences(self._known, renewal.findings)
+        tree = to_tree(self.config)
+        for finding in self._known:
+            if finding not in kept:
+                tree = merge(tree, as_it_was(self._given, finding.settings))
         try:
-            tree = merge(to_tree(self.config), renewal.settings)
-            self.config = make_config(tree, 'proved settings')
+            self.config = make_config(merge(tree, renewal.settings), 'proved settings')
         except MapperError as error:
             self._emit(Trouble(f'{renewal.reason}; the settings stay: {error}'))
             return
-        self._known = ranked([*self._known, *renewal.findings])
+        self._known = ranked([*kept, *renewal.findings])
         again = self._beginning.whole()
         if again is None and self._session is not None:
             with self._guarded():

@@ -125,7 +125,7 @@ class _Selection:
         if self._settings.verify and isinstance(criterion, Mom):
             verification = verify(criterion, self._proposals, clock.seconds.get('score', 0.0))
             clock.lap('verify')
-        best = self._best(self._scores)
+        best = self._best(self._choosable(criterion))
         tied = self._tied(criterion, best)
         judged = {
             id(proposal.candidate): (
@@ -199,11 +199,25 @@ class _Selection:
     def _best(self, scores: Sequence[float]) -> int | None:
         return best_index(scores, [proposal.candidate for proposal in self._proposals])
 
+    def _breaks_ties(self, criterion: Criterion) -> bool:
+        return self._settings.tie_confidence > 0.0 and isinstance(criterion, Mom)
+
+    def _choosable(self, criterion: Criterion) -> list[float]:
+        """The scores; infinite for those that are not linked before the velocity is known.
+
+        Then two LiDARs' scans may stand anywhere to each other within what the speed could be,
+        which a map of so few scans does not show. Spans can tell it later, where there are any.
+        """
+        linked = [proposal.candidate.linked for proposal in self._proposals]
+        if self._problem.may_merge or not self._breaks_ties(criterion) or not any(linked):
+            return self._scores
+        return [score if fine else np.inf for score, fine in zip(self._scores, linked, strict=True)]
+
     def _tied(self, criterion: Criterion, best: int | None) -> list[bool] | None:
         """Which proposals cannot be told from the best; None where that is not asked."""
-        confidence = self._settings.tie_confidence
-        if best is None or confidence == 0.0 or not isinstance(criterion, Mom):
+        if best is None or not isinstance(criterion, Mom) or not self._breaks_ties(criterion):
             return None
+        confidence = self._settings.tie_confidence
         return [bool(tied) for tied in criterion.ties(self._proposals, best, confidence)]
 
     def _smallest(self, best: int | None, tied: list[bool] | None) -> int | None:
@@ -220,7 +234,7 @@ class _Selection:
         for i, candidate in order:
             if candidate.vertices >= self._proposals[best].candidate.vertices:
                 break
-            if self._consistent(i, least):
+            if candidate.linked and self._consistent(i, least):
                 return i
         return best
 

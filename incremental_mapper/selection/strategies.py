@@ -10,6 +10,7 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import Protocol
 
 from incremental_mapper.config import Strategy as Name
+from incremental_mapper.config import Tree
 from incremental_mapper.errors import ConfigError
 from incremental_mapper.scoring.criteria import SOLVER_ERROR
 from incremental_mapper.selection.base_graph import BaseGraph
@@ -72,6 +73,28 @@ def strategy_names() -> list[str]:
     """
     others = {entry.name for entry in entry_points(group=GROUP)} - set(BUILT_IN)
     return [*map(str, BUILT_IN), *sorted(others)]
+
+
+def labelled(label: str) -> tuple[str, Tree]:
+    """The strategy of a label, and the settings that choose it.
+
+    Args:
+        label: A name, or a name and a confidence of its ties such as ``mom@0.9``.
+
+    Returns:
+        The name, and ``selection`` with it and with ``tie_confidence`` where the label has one.
+
+    Raises:
+        ConfigError: What stands behind the @ is no confidence.
+    """
+    name, mark, text = label.partition('@')
+    tree: Tree = {'strategy': name}
+    if mark:
+        try:
+            tree['tie_confidence'] = float(text)
+        except ValueError as error:
+            raise ConfigError(f'{label!r}: {text!r} is no confidence such as 0.9') from error
+    return name, {'selection': tree}
 
 
 @cache

@@ -45,3 +45,30 @@ def test_two_sensors_of_one_stamp_are_not_merged():
     members = tuple(CoreMeasurement(4, name, CoreKind.LIDAR) for name in ('a', 'b'))
     candidate = Candidate((Cluster(members),), ())
     assert not candidate.merges and candidate.time_shift == 0
+
+
+def of(*sensors, at=0):
+    members = [
+        CoreMeasurement(at, name, CoreKind.GNSS if name == 'gps' else CoreKind.LIDAR)
+        for name in sensors
+    ]
+    return Cluster(tuple(members))
+
+
+@pytest.mark.parametrize(
+    ('clusters', 'ends', 'linked'),
+    [
+        ((of('left'), of('right')), (0, 1), True),
+        ((of('left'), of('right')), (1,), False),
+        ((of('left'), of('right'), of('left')), (1, 2), True),
+        ((of('left', 'right'), of('left')), (0,), True),
+        ((of('left', 'right'), of('left')), (1,), False),
+        ((of('gps'), of('left')), (1,), True),
+        ((of('gps'), of('left')), (0,), False),
+        ((of('gps'),), (), True),
+    ],
+)
+def test_linked_are_those_whose_lidars_all_have_an_end_of_a_span(clusters, ends, linked):
+    starts = (HEAD, *ends[:-1])
+    spans = [Connection(*pair, 0, 1, 0) for pair in zip(starts, ends, strict=False)]
+    assert Candidate(clusters, tuple(spans)).linked is linked

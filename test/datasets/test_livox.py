@@ -14,6 +14,7 @@ from incremental_mapper.errors import MeasurementError
 
 POINTS = np.random.default_rng(1).uniform(-40, 40, (500, 3)).astype(np.float32)
 OFFSETS = (np.arange(500) * 199_000).astype(np.uint32)
+LIGHT = np.arange(500) % 256
 DEFINITION = """std_msgs/Header header
 uint64 timebase
 uint32 point_num
@@ -49,7 +50,8 @@ def custom(kind, stamp, ros, frame='livox_frame'):
     header = types['std_msgs/msg/Header'](stamp=time, frame_id=frame, **extra)
     point = types[f'{kind.split("/")[0]}/msg/CustomPoint']
     points = [
-        point(int(t), *map(float, xyz), 10, 16, 3) for t, xyz in zip(OFFSETS, POINTS, strict=True)
+        point(int(t), *map(float, xyz), int(light), 16, 3)
+        for t, xyz, light in zip(OFFSETS, POINTS, LIGHT, strict=True)
     ]
     return types[kind](header, stamp, len(points), 1, np.zeros(3, np.uint8), points)
 
@@ -81,6 +83,7 @@ def test_clouds_of_a_livox_are_read(tmp_path, kind, ros):
     scans = list(source.measurements())
     assert [scan.stamp for scan in scans] == [START + i * 100 * MS for i in range(3)]
     np.testing.assert_array_equal(scans[0].points, POINTS)
+    np.testing.assert_array_equal(scans[0].intensities, LIGHT)
     np.testing.assert_allclose(scans[0].point_times, OFFSETS * 1e-9, atol=1e-8)
     assert any("'offset_time' in ns" in note for note in source.info.notes)
 

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from incremental_mapper.errors import ConfigError
 from incremental_mapper.evaluation.jobs import plan_jobs, sequence_names
 
 
@@ -41,3 +42,20 @@ def test_input_given_twice_is_one_sequence(tmp_path):
     jobs = plan_jobs(twice, tmp_path / 'out', ['base', 'mom'], {}, 'settings')
     assert [(job.sequence, job.strategy) for job in jobs] == [('drive', 'base'), ('drive', 'mom')]
     assert all(job.folder.is_absolute() for job in jobs)
+
+
+def test_a_confidence_behind_the_name_makes_a_job_of_its_own(tmp_path):
+    labels = ['mom', 'mom@0', 'mom@0.5']
+    jobs = plan_jobs([tmp_path], tmp_path / 'out', labels, {'mom': {'radius': 2.0}}, 'settings')
+    assert [job.strategy for job in jobs] == labels
+    assert len({job.key for job in jobs}) == len({job.folder for job in jobs}) == 3
+    chosen = [job.tree['selection'] for job in jobs]
+    assert chosen[0] == {'strategy': 'mom'}
+    assert chosen[2] == {'strategy': 'mom', 'tie_confidence': 0.5}
+    assert all(job.tree['mom'] == {'radius': 2.0} for job in jobs)
+
+
+@pytest.mark.parametrize('label', ['mom@', 'mom@much', 'mom@0.5@0.6'])
+def test_what_is_no_confidence_is_refused(label, tmp_path):
+    with pytest.raises(ConfigError, match='is no confidence such as'):
+        plan_jobs([tmp_path], tmp_path / 'out', [label], {}, 'settings')

@@ -11,11 +11,13 @@ import pytest
 
 from incremental_mapper.cli.main import main
 from incremental_mapper.errors import InputError
-from incremental_mapper.evaluation.table import ROWS
+from incremental_mapper.evaluation.table import ROWS, Entry
 
 image = pytest.importorskip('matplotlib.image', reason='matplotlib is not installed ("report")')
 pytest.importorskip('jinja2', reason='jinja2 is not installed (extra "report")')
 
+from incremental_mapper.evaluation.report.charts import trade_figure  # noqa: E402
+from incremental_mapper.evaluation.report.drawings import FLAT, trade_picture  # noqa: E402
 from incremental_mapper.evaluation.report.page import write_report  # noqa: E402
 
 BROWSERS = ('chromium', 'chromium-browser', 'google-chrome', 'google-chrome-stable')
@@ -346,3 +348,35 @@ def test_page_fits_the_window(browser, evaluation, width):
     page.goto((evaluation / 'report.html').as_uri())
     assert page.evaluate('document.documentElement.scrollWidth') <= width
     page.close()
+
+
+def entries_of(numbers):
+    """Entries of two drives by label: variables saved (%) and RPE per second (m)."""
+    names = ('compression_vertices_percent', 'rpe_per_second_translation_rmse_m')
+    return [
+        Entry(drive, None, label, dict(zip(names, pair, strict=True)))
+        for drive in ('monday', 'tuesday')
+        for label, pair in numbers.items()
+    ]
+
+
+def test_a_sweep_of_confidences_is_drawn_as_a_line_from_point_to_point():
+    numbers = {
+        'base': (0.0, 0.026),
+        'mom@0.95': (59.0, 0.024),
+        'mom@0': (31.0, 0.026),
+        'fewest': (60.0, 0.030),
+    }
+    picture = trade_picture(entries_of(numbers), tuple(numbers))
+    assert all(f'>{label}<' in picture.svg or label in picture.svg for label in numbers)
+    assert 'means over the drives' in picture.caption
+    figure = trade_figure({name: (100 * e, s) for name, (s, e) in numbers.items()}, FLAT)
+    (axes,) = figure.axes
+    (line,) = [line for line in axes.lines if len(line.get_xdata()) > 1]
+    assert list(line.get_ydata()) == [31.0, 59.0], 'in the order of the confidences'
+
+
+def test_two_strategies_or_no_truth_make_no_chart_of_the_trade():
+    assert trade_picture(entries_of({'base': (0, 0.1), 'mom': (30, 0.1)}), ('base', 'mom')) is None
+    blind = {'base': (0, None), 'mom': (30, None), 'fewest': (50, None)}
+    assert trade_picture(entries_of(blind), tuple(blind)) is None

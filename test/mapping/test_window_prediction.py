@@ -164,6 +164,49 @@ def test_core_measurements_are_told_of_before_their_window_is_closed():
     assert not sink.drops
 
 
+def prepared(keys, sensors):
+    """Stamps by sensor in the order in which they would be prepared: begun, or when handed out."""
+    order = {}
+    told = set()
+
+    def take(item):
+        told.add(id(item))
+        order.setdefault(item.sensor, []).append(item.stamp)
+
+    sink = WindowBuffer(WindowSettings(), sensors, True, begin=take)
+
+    def hand_out(windows):
+        for window in windows:
+            for item in window.core:
+                if id(item) not in told:
+                    order.setdefault(item.sensor, []).append(item.stamp)
+
+    kept = [measurement(sensor, stamp) for stamp, sensor in keys]
+    for item in kept:
+        sink.push(item)
+        hand_out(sink.pop_ready())
+    hand_out(sink.flush())
+    return order
+
+
+@pytest.mark.parametrize('sensors', [{'left': 50}, {'left': 500}, {'left': 100, 'gnss': 1000}])
+def test_scans_of_a_lidar_are_prepared_in_their_order_from_the_first_one_on(sensors):
+    keys = drive(10, sensors)
+    order = prepared(keys, sensors)
+    left = [stamp for stamp, sensor in keys if sensor == 'left']
+    assert order['left'] == left
+
+
+@settings(deadline=None, max_examples=40)
+@given(seed=st.integers(0, 10**6), ahead=st.integers(120, 900), noise=st.floats(0, 60))
+def test_a_stray_stamp_does_not_change_the_order_in_which_scans_are_prepared(seed, ahead, noise):
+    keys = drive(6, {'left': 100, 'imu': 10}, 0.01, noise=noise, seed=seed)
+    place = [i for i, (_, sensor) in enumerate(keys) if sensor == 'left'][20]
+    keys[place] = (keys[place][0] + ahead * MS, 'left')
+    order = prepared(keys, {'left': 100, 'imu': 10})['left']
+    assert order == sorted(order)
+
+
 def test_what_comes_behind_one_that_was_begun_is_late():
     keys = drive(10, {'left': 20, 'imu': 10})
     places = [i for i, (_, sensor) in enumerate(keys) if sensor == 'left']

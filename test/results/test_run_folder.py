@@ -1,16 +1,20 @@
 """The folder of a run: what lies in it before, and what becomes of that."""
 
+import gtsam
 import numpy as np
 import pytest
 
 from incremental_mapper.errors import InputError, OutputError
 from incremental_mapper.map.cloud import write_ply
+from incremental_mapper.mapping.result import MapResult
 from incremental_mapper.results.run_folder import (
     EXTRA_FILES,
     FILES,
     FinishedRun,
     prepare_folder,
+    write_result,
 )
+from incremental_mapper.trajectory import Trajectory
 
 RUN = (*FILES, *EXTRA_FILES, 'failed_window_12.npz')
 FOREIGN = ('notes.txt', 'failed_window_mine.txt', 'bag.mcap')
@@ -60,3 +64,26 @@ def test_points_and_intensities_are_read_back(columns, tmp_path):
     (tmp_path / 'map.ply').write_bytes(data[:-1])
     with pytest.raises(InputError, match='damaged'):
         _ = FinishedRun(tmp_path).points
+
+
+def result(position):
+    """A map of one pose, in the trajectory alone."""
+    trajectory = Trajectory(np.array([7]), np.array([position]), np.array([[0.0, 0.0, 0.0, 1.0]]))
+    nothing = np.zeros((0, 3))
+    return MapResult((), (), gtsam.Values(), trajectory, (), nothing, (), None)
+
+
+def test_numbers_that_are_not_finite_reach_no_file(tmp_path):
+    cloud = np.ones((5, 4), dtype=np.float32)
+    wrong = cloud.copy()
+    wrong[2, 3] = np.nan
+    with pytest.raises(OutputError, match=r'trajectory.tum: not written: 1 of 3 .* positions'):
+        write_result(tmp_path, result([1.0, np.inf, 0.0]), cloud, {})
+    assert names(tmp_path) == set()
+    with pytest.raises(OutputError, match=r'stats.json: not written'):
+        write_result(tmp_path, result([1.0, 2.0, 0.0]), cloud, {'wall_s': float('nan')})
+    with pytest.raises(OutputError, match=r'map.ply: not written: 1 of 20 numbers of points'):
+        write_result(tmp_path, result([1.0, 2.0, 0.0]), wrong, {})
+    assert 'map.ply' not in names(tmp_path) and 'trajectory.tum' in names(tmp_path)
+    write_result(tmp_path, result([1.0, 2.0, 0.0]), cloud, {})
+    assert names(tmp_path) == set(FILES)

@@ -109,6 +109,21 @@ def test_less_is_spent_while_measurements_wait_and_all_at_once_is_no_delay():
     assert inbox.shedding().windows == 2 and inbox.shedding().read_ahead == READ_AHEAD
 
 
+def test_a_batch_that_waited_in_the_middleware_is_as_old_as_it_came():
+    clock = Clock()
+    inbox = Inbox(QueueSettings(max_delay=1.0), clock)
+    for number in range(31):
+        clock.now = 0.1 * number
+        inbox.put(scan(number))
+    clock.now = 3.05
+    inbox.put(scan(31))
+    # A clock that is set back makes nothing older or newer.
+    clock.now = -100.0
+    inbox.put(scan(32))
+    item, _ = inbox.take()
+    assert item.stamp == 23 and inbox.drops() == {('left', 'overload'): 23}
+
+
 def test_full_inbox_drops_the_oldest_of_the_kind_and_counts_it():
     inbox = Inbox(QueueSettings(core=10, imu=100))
     inbox.put(imu(0))

@@ -338,6 +338,25 @@ def test_settings_that_proved_wrong_are_mended_and_nothing_is_lost(start, rule, 
     assert run.of(WindowUpdate)[-1].findings == (GRAVITY,)
 
 
+SCATTER = Finding(
+    'optimistic_covariance', Severity.MENDED, 'gnss', '', settings={'fixes': {'min_sigma': 9.0}}
+)
+EXCHANGED = Finding(
+    'exchanged_degrees', Severity.MENDED, 'gnss', '', settings={'fixes': {'min_status': 1}}
+)
+
+
+def test_what_followed_from_a_mended_track_of_fixes_is_taken_back(start):
+    run = start()
+    given = run.worker.config.fixes.min_sigma
+    run.worker.inbox.put(Renewal(SCATTER.settings, 'scattered', (SCATTER,)))
+    run.worker.inbox.put(Renewal(EXCHANGED.settings, 'exchanged', (EXCHANGED,)))
+    assert run.order(Order.RESET)[0]
+    assert run.worker.config.fixes.min_status == 1
+    assert run.worker.config.fixes.min_sigma == given != 9.0
+    assert run.of(Restarted)[-1].findings == (EXCHANGED,)
+
+
 def test_stamps_of_all_measurements_follow_a_mended_clock(start, rule, tmp_path):
     rule(150, CLOCK)
     run = start()

@@ -1,5 +1,7 @@
 """The strategy that solves candidates: what it looks at, and what it says of them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from turning_car import MS, imu_series, known_state, problem_of
@@ -9,7 +11,7 @@ from incremental_mapper.candidates.enumeration import base_candidate, candidates
 from incremental_mapper.candidates.local_moves import neighbours
 from incremental_mapper.selection import lowest_score
 from incremental_mapper.selection.cheapest import LeastTimeShift
-from incremental_mapper.selection.lowest_score import LowestScore
+from incremental_mapper.selection.lowest_score import LowestScore, lowest_mom
 from incremental_mapper.variables import pose_key
 
 WINDOW = {40 * MS: {'left'}, 62 * MS: {'gps'}, 97 * MS: {'right'}, 140 * MS: {'left'}}
@@ -193,3 +195,29 @@ def test_finalists_of_the_beam_are_looked_at_behind_the_conventional_graph():
     choice = by_number(LeastTimeShift().select(problem_of(LARGE)).winner).select(problem)
     tried = [item.candidate for item in choice.tried]
     assert len(tried) == len(set(tried)) > 4
+
+
+STREET = {0: {'left'}, 30 * MS: {'right'}, 100 * MS: {'left'}, 130 * MS: {'right'}}
+
+
+@pytest.mark.parametrize('may_merge', [True, False])
+def test_a_winner_by_a_tie_leaves_no_lidar_without_an_end_of_a_span(may_merge):
+    """Nothing else holds two LiDARs together; the map of a few scans does not show it."""
+    stamps = {stamp + 5 * MS: sensors for stamp, sensors in STREET.items()}
+    config = car_settings(
+        selection={'tie_confidence': 0.999999}, mom={'min_family_points': 3, 'radius': 8.0}
+    )
+    problem = replace(problem_of(stamps, config=config), may_merge=may_merge)
+    choice = lowest_mom.select(problem)
+    smaller = [
+        item.candidate
+        for item in choice.tried
+        if item.connected and item.candidate.vertices < choice.winner.vertices
+    ]
+    # Where scans may be merged, that links them and is smaller still.
+    assert may_merge or any(not item.linked and not item.merges for item in smaller)
+    assert choice.winner.linked
+    # Without a rule for ties nothing is barred.
+    free = replace(problem, config=car_settings(selection={'tie_confidence': 0.0}))
+    scores = [item.score for item in lowest_mom.select(free).tried if item.score is not None]
+    assert lowest_mom.select(free).score == min(scores)

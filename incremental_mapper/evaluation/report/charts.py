@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, ScalarFormatter
 from numpy.typing import NDArray
 
 from incremental_mapper.evaluation.table import BASE
@@ -25,6 +25,8 @@ Series: TypeAlias = tuple[NDArray[np.float64], NDArray[np.float64]]
 SETTLED = 20
 """Compression is drawn from so many variables of base on: before, each one is a jump."""
 MIN_TRUE_POSES = 3
+WIDE = 4.0
+"""Ratio of errors from which on their axis is logarithmic."""
 
 
 def progress_figure(
@@ -76,6 +78,77 @@ def progress_figure(
         if shown
     )
     return figure, f'{caption}.'
+
+
+def trade_figure(points: Mapping[str, tuple[float, float]], look: Look) -> 'Figure':
+    """What the strategies save against what it costs, a point each.
+
+    Args:
+        points: RPE per second, cm, and variables saved, %, by label. Labels of one strategy with
+            several confidences, NAME@X, are joined by a line.
+        look: Size and colours.
+    """
+    figure = new_figure(look)
+    axes = figure.add_axes(box(look, 62, 50, 14, 26))
+    names = tuple(dict.fromkeys(label.partition('@')[0] for label in points))
+    colours = strategy_colours(names, look.theme)
+    sweeps: dict[str, list[tuple[float, tuple[float, float]]]] = {}
+    for label, point in points.items():
+        name, mark, confidence = label.partition('@')
+        axes.plot(*point, 'o', color=colours[name], markersize=7)
+        if mark:
+            sweeps.setdefault(name, []).append((float(confidence), point))
+    for name, sweep in sweeps.items():
+        line = np.array([point for _, point in sorted(sweep)])
+        axes.plot(line[:, 0], line[:, 1], color=colours[name], linewidth=1.7, zorder=1)
+    errors = [error for error, _ in points.values()]
+    if min(errors) > 0.0 and max(errors) > WIDE * min(errors):
+        axes.set_xscale('log')
+        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.xaxis.set_major_formatter(ScalarFormatter())
+        axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.margins(0.15)
+    _tidy(axes, 'variables saved, %', look, last=True)
+    axes.set_xlabel('RPE per second, cm: further left is better')
+    _label(axes, points, look)
+    return figure
+
+
+def _label(axes: 'Axes', points: Mapping[str, tuple[float, float]], look: Look) -> None:
+    """Write each label beside its point, where no other label and no point is."""
+    spots = {label: axes.transData.transform(point) for label, point in points.items()}
+    pixel = axes.figure.dpi / 72.0
+    taken = [
+        (x - 5 * pixel, y - 5 * pixel, x + 5 * pixel, y + 5 * pixel) for x, y in spots.values()
+    ]
+    frame = axes.bbox
+    for label, (x, y) in spots.items():
+        wide, high = 0.62 * look.text * len(label) * pixel, look.text * pixel
+        places = []
+        for up in (0, 1, -1, 2, -2):
+            for right in (True, False):
+                left = x + 9 * pixel if right else x - 9 * pixel - wide
+                low = y + (up - 0.5) * 1.2 * high
+                spot = (left, low, left + wide, low + high)
+                inside = frame.x0 <= left and left + wide <= frame.x1 and frame.y0 <= low
+                places.append((not inside, any(_meet(spot, other) for other in taken), spot, right))
+        *_, spot, right = min(places, key=lambda place: place[:2])
+        taken.append(spot)
+        side = spot[0] - x if right else spot[2] - x
+        axes.annotate(
+            label,
+            points[label],
+            (side / pixel, (spot[1] - y) / pixel),
+            textcoords='offset points',
+            ha='left' if right else 'right',
+            fontsize=look.text,
+            color=look.theme.ink,
+        )
+
+
+def _meet(one: tuple[float, ...], other: tuple[float, ...]) -> bool:
+    apart = one[0] > other[2] or other[0] > one[2] or one[1] > other[3] or other[1] > one[3]
+    return not apart
 
 
 def strategy_colours(names: tuple[str, ...], theme: Theme) -> dict[str, str]:

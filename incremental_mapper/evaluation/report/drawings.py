@@ -1,12 +1,12 @@
 """The pictures of one drive, as SVG elements in the colours of the page."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from incremental_mapper.evaluation.record import RecordedSequence
-from incremental_mapper.evaluation.report.charts import progress_figure
-from incremental_mapper.evaluation.table import BASE
+from incremental_mapper.evaluation.report.charts import progress_figure, trade_figure
+from incremental_mapper.evaluation.table import BASE, Entry, mean_metrics
 from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.results.run_folder import FinishedRun
 from incremental_mapper.visualization.figure import PAGE, Look, css_colour, svg_for_page
@@ -15,6 +15,8 @@ from incremental_mapper.visualization.graph_picture import graph_figure
 from incremental_mapper.visualization.graph_view import unconnected_variables
 from incremental_mapper.visualization.pictures import map_figure, side_figure, trajectory_figure
 
+FEWEST_POINTS = 3
+"""Strategies that make a trade; two are told in words."""
 GRAPH_SECONDS = 0.8
 """Length of the stretch of graph that fits half of the page's width."""
 EDGE = 50_000_000
@@ -90,6 +92,35 @@ def sequence_pictures(
         ),
         'The same map from the side.',
     )
+
+
+def trade_picture(entries: Sequence[Entry], strategies: Sequence[str]) -> Picture | None:
+    """What each strategy saves and what it costs; means over the drives.
+
+    Args:
+        entries: Of all drives.
+        strategies: Their labels.
+
+    Returns:
+        The chart; None where too few strategies have both numbers to show a trade.
+    """
+    found: dict[str, dict[str, Entry]] = {}
+    for entry in entries:
+        found.setdefault(entry.sequence, {})[entry.strategy] = entry
+    points: dict[str, tuple[float, float]] = {}
+    for label, means in zip(
+        strategies, mean_metrics(list(found.values()), strategies), strict=True
+    ):
+        error = means.get('rpe_per_second_translation_rmse_m')
+        saved = 0.0 if label == BASE else means.get('compression_vertices_percent')
+        if error is not None and saved is not None:
+            points[label] = (100.0 * error, saved)
+    if len(points) < FEWEST_POINTS:
+        return None
+    over = 'means over the drives' if len(found) > 1 else 'of the drive'
+    caption = f'Variables saved against the relative pose error per second, {over}'
+    said = f'{caption}: up is smaller, left is more accurate.'
+    return Picture(svg_for_page(trade_figure(points, FLAT), 'trade', caption), said)
 
 
 def graph_stretches(sequence: RecordedSequence, number: int) -> Iterator[Stretch]:

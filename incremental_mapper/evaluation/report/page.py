@@ -21,6 +21,7 @@ from incremental_mapper.evaluation.report.drawings import (
     graph_stretches,
     graph_swatches,
     sequence_pictures,
+    trade_picture,
 )
 from incremental_mapper.evaluation.table import (
     FURTHER_ROWS,
@@ -89,6 +90,7 @@ def _context(evaluation: RecordedEvaluation) -> dict[str, Any]:
         'tiles': [] if lead is None else words.tiles(evaluation, lead),
         'failures': failures,
         'tables': tables,
+        'trade': trade_picture(evaluation.entries(), strategies),
         'graph_legend': graph_swatches(evaluation.sequences) if lead is not None else [],
         'sequences': [
             _section(evaluation, sequence, number)
