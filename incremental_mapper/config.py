@@ -290,10 +290,10 @@ class SelectionSettings(Section):
     """Share of a window's duration (``window.duration``) that its search may take to follow
     prefixes; half as much again may go into changing single decisions of the best candidates. With
     0.5 a window that is searched is done before the next one closes."""
-    tie_confidence: float = Field(default=0.0, ge=0.0, lt=1.0)
+    tie_confidence: float = Field(default=0.95, ge=0.0, lt=1.0)
     """Candidates of mom tie unless one is better at this confidence (paired over the query points);
     of those that tie the smallest graph wins whose factors and rotations agree as well. 0 takes the
-    lowest score, however small its lead (paper); 0.95 is a good value."""
+    lowest score, however small its lead (paper)."""
     join_standing: bool = True
     """While the vehicle stands, by IMU and scan matching together, measurements join the newest
     cluster: they add no variable, and scans no points. false makes clusters of them all the same

@@ -30,7 +30,7 @@ from incremental_mapper.selection.strategies import labelled, strategy_names
 from incremental_mapper.settings import make_config, merge, read_yaml
 from incremental_mapper.visualization.extras import LIBRARIES, importable, left_out
 
-STRATEGIES = 'base,mom,min_time_shift,min_solver_error'
+STRATEGIES = 'base,mom,min_time_shift,min_solver_error,fewest'
 DEFAULT_WIDTH = 100
 """Characters in a line where the output is no terminal."""
 
