@@ -66,7 +66,13 @@ UNITS = (
 )
 """Words of a description, the most special first, and the unit that they tell."""
 TUNING = Path(__file__).resolve().parents[1] / 'tuning.md'
-NO_UNIT = ('odometry.min_overlap', 'mom.eigenvalue_ratio', 'selection.tie_confidence')
+NO_UNIT = (
+    'odometry.min_overlap',
+    'odometry.covariance_scale',
+    'mom.eigenvalue_ratio',
+    'selection.tie_confidence',
+    'selection.time_budget',
+)
 """Numbers with a fraction that are ratios."""
 
 

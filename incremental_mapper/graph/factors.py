@@ -125,7 +125,7 @@ def between_factor(
 
 def _describe_between(factor: Any) -> dict[str, Any]:
     noise = factor.noiseModel()
-    told = {
+    told: dict[str, Any] = {
         'T_first_second': factor.measured(),
         'sigmas': noise.sigmas().tolist(),
     }
