@@ -164,6 +164,8 @@ def sensor_uses(result: MapResult, dropped: DropCounts, before: Drops) -> list[S
     statistics = result.statistics
     settings = statistics.settings or {}
     scans = Counter(scan.sensor for scan in result.scans)
+    # While the vehicle stands they say what those before said: they are used, and add no points.
+    scans.update(core.sensor for placed in result.clusters for core in placed.joined)
     offered = Counter(statistics.received or {})
     offered.update({sensor: count for (sensor, _), count in before.items()})
     spans, fixes = (

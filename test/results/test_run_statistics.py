@@ -8,10 +8,12 @@ import gtsam
 import numpy as np
 import pytest
 
+from incremental_mapper.candidates.model import Cluster, CoreKind, CoreMeasurement
 from incremental_mapper.mapping.result import MapResult
 from incremental_mapper.mapping.statistics import MapStatistics
-from incremental_mapper.results.run_statistics import InputFacts, RunStatistics
+from incremental_mapper.results.run_statistics import InputFacts, RunStatistics, sensor_uses
 from incremental_mapper.results.trajectory_errors import TrajectoryErrors
+from incremental_mapper.smoothing.graph_state import PlacedCluster
 from incremental_mapper.trajectory import Trajectory
 
 FACTS = InputFacts('drive', 'KAIST folder', {'left': 3}, ('a note',))
@@ -86,3 +88,13 @@ def test_what_was_lost_before_the_mapper_is_counted_too(result):
     tree = RunStatistics.of_run(result, before, 2.0, 7, FACTS).to_tree()
     assert tree['dropped'] == {'left': {'late': 3, 'empty': 3}, 'gnss': {'no_fix': 4}}
     assert result.statistics.dropped == {'left': {'late': 1}}
+
+
+def test_scans_of_a_vehicle_that_stands_are_used(result):
+    """They add no points, and 'most of the scans are not in the map' would be a false alarm."""
+    core = tuple(CoreMeasurement(stamp, 'left', CoreKind.LIDAR) for stamp in range(90))
+    placed = PlacedCluster(0, 0, Cluster(core[:1]), joined=core[1:])
+    counted = replace(result.statistics, received={'left': 100}, settings={})
+    stood = replace(result, clusters=(placed,), statistics=counted)
+    (left, *_) = sensor_uses(stood, {}, Counter())
+    assert (left.name, left.offered, left.used) == ('left', 100, 89)
