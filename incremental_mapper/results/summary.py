@@ -72,6 +72,14 @@ def summary(stats: Mapping[str, Any]) -> str:
     ]
     if dropped:
         rows.append(('not used', ', '.join(dropped)))
+    if stats['standing_windows']:
+        rows.append(
+            (
+                'at rest',
+                f'{stats["standing_windows"]} windows, whose {stats["joined_measurements"]} '
+                'measurements joined the pose before',
+            )
+        )
     if stats['failed_windows']:
         rows.append(('windows failed', f'{stats["failed_windows"]}, left out; the log says why'))
     rows += [('note', f'{text}: {count}x') for text, count in stats['notes'].items()]

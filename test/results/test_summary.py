@@ -37,3 +37,11 @@ def test_a_trajectory_too_short_for_an_error_per_second_says_so(stats):
     short = summary(stats | errors)
     assert row(short, 'RPE per second').endswith('none, no two poses are about a second apart')
     assert row(short, 'ATE').endswith('0.0200 m')
+
+
+def test_a_vehicle_that_stood_is_told(stats):
+    assert 'at rest' not in summary(stats | {'standing_windows': 0})
+    stood = summary(stats | {'standing_windows': 82, 'joined_measurements': 171})
+    assert row(stood, 'at rest').endswith(
+        '82 windows, whose 171 measurements joined the pose before'
+    )
