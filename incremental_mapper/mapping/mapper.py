@@ -171,7 +171,14 @@ class Mapper:
         return bool(self._held)
 
     def go_on(self, shedding: LoadShedding = NO_SHEDDING) -> Iterator[WindowResult]:
-        """Run the closed windows whose scans are prepared by now, oldest first."""
+        """Run the closed windows whose scans are prepared by now.
+
+        Args:
+            shedding: Limits what is spent on the windows.
+
+        Yields:
+            They, oldest first.
+        """
         self._shedding = shedding
         while self._may_run(shedding.windows):
             yield self._run(self._next_window(shedding.windows))

@@ -83,13 +83,16 @@ class WindowProblem:
         return self.partitions.of(candidate).unconnected(candidate)
 
     def held(self, candidate: Candidate) -> bool:
-        """Whether no cluster hangs on matches that the scans hold weakly in some direction.
+        """Tell a candidate whose clusters all have more than weak matches to hang on.
 
-        Such a cluster may lie anywhere along it, and the local map looks alike wherever it does:
-        no score of the map can tell.
+        One that has not may lie anywhere along the weak direction, and the local map looks alike
+        wherever it does: no score of the map can tell.
 
         Args:
             candidate: One of the window's candidates.
+
+        Returns:
+            Whether no cluster hangs on matches that the scans hold weakly in some direction.
         """
         return self.partitions.of(candidate).held(candidate)
 
