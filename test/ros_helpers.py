@@ -113,10 +113,12 @@ def restamp(message, nanoseconds):
 
 
 def decode_cloud(message):
-    """Points (N, 3) of a cloud that the node published."""
-    assert message.point_step == 12 and len(message.data) == 12 * message.width
-    assert [field.name for field in message.fields] == ['x', 'y', 'z']
-    return np.frombuffer(message.data, dtype='<f4').reshape(-1, 3)
+    """Points (N, 3) of a cloud that the node published, whether it has intensities or not."""
+    names = [field.name for field in message.fields]
+    assert names[:3] == ['x', 'y', 'z'] and names[3:] in ([], ['intensity'])
+    assert message.point_step == 4 * len(names)
+    assert len(message.data) == message.point_step * message.width
+    return np.frombuffer(message.data, dtype='<f4').reshape(-1, len(names))[:, :3]
 
 
 class Spinner:

@@ -120,7 +120,11 @@ class _Selection:
         self._solver = CandidateSolver(
             problem.prior, problem.factors, problem.guess, problem.config.graph.max_iterations
         )
-        self._propose(self._linked_first(pool.eligible))
+        eligible = self._linked_first(pool.eligible)
+        careful = self._breaks_ties and not problem.may_merge
+        self._all_linked = careful and all(item.linked for item in eligible)
+        self._all_held = all(problem.held(item) for item in eligible)
+        self._propose(eligible)
         criterion = self._make_criterion(problem, self._proposals, True)
         self._scores = criterion.scores(self._proposals)
         clock.lap('score')
@@ -217,6 +221,15 @@ class _Selection:
             return eligible
         return [item for item in eligible if item.linked] or eligible
 
+    def _may_win(self, item: Candidate) -> bool:
+        """Whether a candidate is what those that may win have all had to be."""
+        problem = self._problem
+        return (
+            (problem.may_merge or not item.merges)
+            and (not self._all_linked or item.linked)
+            and (not self._all_held or problem.held(item))
+        )
+
     def _tied(self, criterion: Criterion, best: int | None) -> list[bool] | None:
         """Which proposals cannot be told from the best; None where that is not asked."""
         if best is None or not isinstance(criterion, Mom) or not self._breaks_ties:
@@ -292,7 +305,7 @@ class _Selection:
                 item
                 for item in around
                 if item not in seen
-                and (problem.may_merge or not item.merges)
+                and self._may_win(item)
                 and not problem.unconnected(item)
                 and problem.held(item)
             ]

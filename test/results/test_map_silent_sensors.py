@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from drive_edits import STATE, keep_stamps, lines, rewrite, scans, stamps, table, worst_offset
 
+from incremental_mapper.frontend.match_noise import WEAK
 from incremental_mapper.measurements import NANOSECONDS
 
 
@@ -107,7 +108,9 @@ def test_lidar_that_dies_and_returns(map_light, light_copy):
     keep_stamps(light_copy, 'right', lambda number: not 5 <= number < 16)
     run = map_light(light_copy, strategy='mom')
     assert run.status == 0
-    assert run.stats['notes'] == {'right: no certain match over a gap': 1}
+    # With every fifth point some matches are weak, which is another matter.
+    notes = {text: count for text, count in run.stats['notes'].items() if WEAK not in text}
+    assert notes == {'right: no certain match over a gap': 1}
     assert run.stats['components'] == 1
     odometry = [f for f in run.factors('odometry') if f['sensor'] == 'right']
     kept = stamps(table(light_copy, 'VLP_right_stamp'))
