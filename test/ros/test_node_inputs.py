@@ -26,6 +26,7 @@ from ros_helpers import (
 )
 from sensor_msgs.msg import PointField
 
+from incremental_mapper.frontend.match_noise import WEAK
 from incremental_mapper.ros.subscriptions import Inputs
 from incremental_mapper.settings import make_config
 
@@ -175,7 +176,9 @@ def test_lidar_that_dies_and_returns(start_node, messages):
     assert stats['components'] == 1
     assert stats['unused_measurements'] == 0 and stats['dropped'] == {}
     assert stats['received']['left'] == sum(item.topic == LEFT for item in played)
-    assert stats['notes'] == {'left: gap too long to match': 1}
+    # With every fifth point some matches are weak, which is another matter.
+    notes = {text: count for text, count in stats['notes'].items() if WEAK not in text}
+    assert notes == {'left: gap too long to match': 1}
     stamps = np.array([stamp_of(message) for message in session.received['odometry']])
     assert np.diff(stamps).max() < 250_000_000
 

@@ -94,7 +94,8 @@ def assert_complete(folder):
     assert len((folder / 'windows.csv').read_text().splitlines()) == stats['windows'] + 1
     assert stats['components'] == 1 and stats['unused_measurements'] == 0
     head, body = (folder / 'map.ply').read_bytes().split(b'end_header\n', 1)
-    assert len(body) == 12 * stats['map_points']
+    numbers = 3 + (b'property float intensity' in head)
+    assert len(body) == 4 * numbers * stats['map_points']
     assert f'element vertex {stats["map_points"]}\n'.encode() in head
     assert (folder / 'graph.g2o').read_text().count('VERTEX_SE3') == stats['clusters']
 
