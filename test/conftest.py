@@ -106,7 +106,8 @@ class MapRun:
         values = [number for variable in graph['variables'] for number in variable['value']]
         assert np.isfinite(values).all()
         assert len(graph['factors']) == stats['factors']
-        assert len(graph['clusters']) == len(self.trajectory) == stats['clusters']
+        assert len(graph['clusters']) == stats['clusters']
+        assert len(self.trajectory) == stats['clusters'] + stats['standing_windows']
         assert len(self.rows) == stats['windows']
         for sensor, count in stats['input']['counts'].items():
             if sensor != 'imu':

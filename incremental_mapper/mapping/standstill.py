@@ -4,7 +4,9 @@ Either alone can be wrong: the IMU of a car at constant speed is as quiet as tha
 and matches read no motion in a tunnel whose walls all look alike.
 """
 
+from collections import deque
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import gtsam
 import numpy as np
@@ -31,26 +33,37 @@ so many standard deviations of that mean on top."""
 SPEED = 0.2
 """m/s that the graph may still say of a vehicle that stands: it brakes for a while longer than its
 wheels, as far as a smoother can tell."""
-START, DRIFT = 0.02, 0.05
-"""Metres that the matches of one LiDAR may add up to, before the vehicle counts as standing and in
-all. One that creeps comes further; noise does not, since the error of a scan goes into the match
-before it and out of the match after it."""
+START, DRIFT, WANDER = 0.05, 0.08, 0.012
+"""Metres that the matches of one LiDAR may add up to: before the vehicle stands, in all, and on top
+of that for each square root of a match. Matches of a VLP-16 at rest have errors of 2 to
+20 mm, most of which go out again with the next match, and wander by 5 mm a match. A vehicle that
+creeps comes further."""
 SWING = 0.02
 """The same of their rotations, radians."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Step:
+    """What ``count`` matches of a LiDAR add up to by a scan's stamp (ns), since all was quiet."""
+
+    stamp: int
+    count: int
+    motion: gtsam.Pose3
 
 
 class Standstill:
     """Follows the windows, and tells of each whether the vehicle stood through it.
 
     ``crept`` says, after the first window in which it did not stand any more, how far each LiDAR
-    had come by then since the vehicle was first quiet: it sets off before it is noticed.
+    had come before that window: a vehicle sets off a little before it is noticed, and one that
+    creeps long before.
     """
 
     def __init__(self) -> None:
         """Nothing is known: a vehicle moves until it is shown that it stands."""
         self._samples = EMPTY_SERIES
         self._since: int | None = None
-        self._moved: dict[str, gtsam.Pose3] = {}
+        self._ways: dict[str, deque[_Step]] = {}
         self._stood = False
         self.crept: Mapping[str, gtsam.Pose3] = {}
 
@@ -76,21 +89,25 @@ class Standstill:
         self.crept = {}
         if not prepared:
             return False
-        end, before = prepared[-1].core.stamp, dict(self._moved)
+        end = prepared[-1].core.stamp
         self._keep(samples, end)
+        before = {name: list(steps) for name, steps in self._ways.items()}
         rests = speed <= SPEED and _rests(self._samples, len(samples.stamps), bias)
         if not (rests and self._add(prepared)):
-            self.crept = before if self._stood else {}
+            # By the matches it has crept since it was first quiet; else it has just set off.
+            since = end - SPAN if not rests else 0
+            if self._stood:
+                self.crept = {name: _way(steps, since) for name, steps in before.items()}
             self.start_anew()
             return False
         if self._since is None:
             self._since = prepared[0].core.stamp
-        self._stood = bool(self._moved) and end - self._since >= SPAN
+        self._stood = bool(self._ways) and end - self._since >= SPAN
         return self._stood
 
     def start_anew(self) -> None:
         """Forget how long the vehicle has been quiet."""
-        self._since, self._moved, self._stood = None, {}, False
+        self._since, self._ways, self._stood = None, {}, False
 
     def _keep(self, samples: ImuSeries, end: int) -> None:
         joined = ImuSeries(
@@ -109,13 +126,24 @@ class Standstill:
                 continue
             if item.T_previous_current is None:
                 return False
-            before = self._moved.get(item.core.sensor, gtsam.Pose3())
-            motion = before.compose(item.T_previous_current)
-            self._moved[item.core.sensor] = motion
+            steps = self._ways.setdefault(item.core.sensor, deque())
+            last = steps[-1] if steps else _Step(0, 0, gtsam.Pose3())
+            motion = last.motion.compose(item.T_previous_current)
+            steps.append(_Step(item.core.stamp, last.count + 1, motion))
+            while steps[0].stamp < item.core.stamp - KEPT:
+                steps.popleft()
             turned = np.linalg.norm(gtsam.Rot3.Logmap(motion.rotation()))
-            if np.linalg.norm(motion.translation()) > far or turned > SWING:
+            most = far + WANDER * np.sqrt(last.count + 1)
+            if np.linalg.norm(motion.translation()) > most or turned > SWING:
                 return False
         return True
+
+
+def _way(steps: Sequence[_Step], since: int) -> gtsam.Pose3:
+    """What the matches after ``since`` (ns) add up to."""
+    earlier = [step.motion for step in steps if step.stamp <= since]
+    start = earlier[-1] if earlier else gtsam.Pose3()
+    return start.between(steps[-1].motion) if steps else gtsam.Pose3()
 
 
 def _rests(samples: ImuSeries, new: int, bias: gtsam.imuBias.ConstantBias) -> bool:
