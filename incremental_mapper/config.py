@@ -297,7 +297,7 @@ class SelectionSettings(Section):
     join_standing: bool = True
     """While the vehicle stands, by IMU and scan matching together, measurements join the newest
     cluster: they add no variable, and scans no points. false makes clusters of them all the same
-    (paper)."""
+    (paper), as the strategy base always does."""
     direct: bool = False
     """Search the neighbourhoods again at every candidate's poses (slow, for verification)."""
     verify: bool = False

@@ -14,7 +14,7 @@ from incremental_mapper.candidates.spans import ImuStamps
 from incremental_mapper.checks.finding import Finding, ranked
 from incremental_mapper.checks.outcome import Outcome, outcome_findings
 from incremental_mapper.compiled import waiting
-from incremental_mapper.config import Config, Tree
+from incremental_mapper.config import Config, Strategy, Tree
 from incremental_mapper.errors import MapperError
 from incremental_mapper.frontend.front_end import FrontEnd, Preparation, Prepared
 from incremental_mapper.frontend.imu_preintegration import (
@@ -364,7 +364,9 @@ class Mapper:
 
     def _stands(self, prepared: Sequence[Prepared], samples: ImuSeries) -> bool:
         """Whether the vehicle stands, and what it measured may join the newest cluster."""
-        if not self.config.selection.join_standing:
+        selection = self.config.selection
+        # The conventional graph, which all others are compared with, has a pose for everything.
+        if not selection.join_standing or selection.strategy == Strategy.BASE:
             return False
         state = self._state
         speed = float(np.linalg.norm(state.last_velocity))

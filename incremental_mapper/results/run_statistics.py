@@ -10,6 +10,7 @@ from typing import Any, Self, TypeAlias
 import numpy as np
 
 from incremental_mapper import __version__
+from incremental_mapper.candidates.model import CoreKind
 from incremental_mapper.checks.finding import Finding, ranked
 from incremental_mapper.checks.outcome import empty_findings
 from incremental_mapper.checks.sensors import SensorUse, sensor_findings
@@ -165,7 +166,8 @@ def sensor_uses(result: MapResult, dropped: DropCounts, before: Drops) -> list[S
     settings = statistics.settings or {}
     scans = Counter(scan.sensor for scan in result.scans)
     # While the vehicle stands they say what those before said: they are used, and add no points.
-    scans.update(core.sensor for placed in result.clusters for core in placed.joined)
+    joined = (core for placed in result.clusters for core in placed.joined)
+    scans.update(core.sensor for core in joined if core.kind is CoreKind.LIDAR)
     offered = Counter(statistics.received or {})
     offered.update({sensor: count for (sensor, _), count in before.items()})
     spans, fixes = (

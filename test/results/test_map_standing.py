@@ -37,6 +37,12 @@ def test_what_is_measured_at_rest_adds_hardly_a_variable_and_nothing_is_lost(map
     assert stats['ate_rmse_m'] < 0.03
 
 
+def test_the_conventional_graph_has_a_pose_for_everything(map_light, parked):
+    run = map_light(parked, strategy='base')
+    assert run.stats['standing_windows'] == 0
+    assert run.stats['vertices'] == run.stats['base_vertices']
+
+
 def test_without_the_rule_every_measurement_has_a_cluster_of_its_window(map_light, parked):
     run = map_light(parked, config='selection:\n  join_standing: false\n', strategy='fewest')
     assert run.stats['standing_windows'] == run.stats['joined_measurements'] == 0
