@@ -204,7 +204,7 @@ def check_mapper(arguments: Sequence[str]) -> list[str]:
         found += [
             f'{call!r}: {name!r} is no strategy'
             for name in args.strategies.split(',')
-            if name not in strategy_names()
+            if labelled(name)[0] not in strategy_names()
         ]
     return [message for message in found if message]
 
