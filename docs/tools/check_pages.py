@@ -31,7 +31,7 @@ from incremental_mapper.cli.main import COMMANDS, make_parser
 from incremental_mapper.config import Config, LidarSensor, Section
 from incremental_mapper.datasets.bags import SETTINGS_FILE
 from incremental_mapper.errors import ConfigError
-from incremental_mapper.selection.strategies import GROUP, strategy_names
+from incremental_mapper.selection.strategies import GROUP, labelled, strategy_names
 from incremental_mapper.settings import make_config, read_yaml
 
 SERVICES = ('flush', 'save_map', 'reset', 'pause')
