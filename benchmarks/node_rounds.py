@@ -20,16 +20,14 @@ from bisect import bisect_left
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from graph_memory import graph_bytes, piece_sizes, resident
 from long_drive import MovedPlaces, RepeatedDrive
-from node_runs import PATIENCE, START, Drive, NodeRun, lost_table, make_drive, node_run
+from node_runs import PATIENCE, Drive, NodeRun, lost_table, make_drive, node_run, publishers
 from node_soak import MB, SAMPLE, Sample, print_fits, write_samples
-from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message, serialize_message
-from sensor_msgs.msg import Imu, NavSatFix, PointCloud2
+from sensor_msgs.msg import NavSatFix
 
 from incremental_mapper.datasets.bag_files import open_bag
 from incremental_mapper.datasets.open import open_source
@@ -37,8 +35,6 @@ from incremental_mapper.errors import MapperError
 from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.settings import read_yaml
 
-KINDS = {'imu': Imu, 'gnss': NavSatFix}
-RELIABLE = QoSProfile(depth=500, reliability=ReliabilityPolicy.RELIABLE)
 WAITING = 15
 """Scans and fixes that may wait in the node before the publisher waits."""
 MOST_GROWTH = 5.0
@@ -152,22 +148,6 @@ def shifted(item: Raw, shift: int, places: MovedPlaces) -> bytes:
     there = places.moved(fix.latitude, fix.longitude, fix.altitude)
     fix.latitude, fix.longitude, fix.altitude = there
     return bytes(serialize_message(fix))
-
-
-def publishers(run: NodeRun) -> Mapping[str, Any]:
-    """What publishes each sensor's messages, once the node listens."""
-    node = run.client._node
-    made = {
-        sensor: node.create_publisher(KINDS.get(sensor, PointCloud2), topic, RELIABLE)
-        for sensor, topic in run.topics.items()
-    }
-    run.client.wait(
-        lambda: all(item.get_subscription_count() > 0 for item in made.values()),
-        'the subscriptions of the node',
-        START,
-    )
-    time.sleep(1.0)  # the other side of a match may take a little longer
-    return {sensor: publisher.publish for sensor, publisher in made.items()}
 
 
 def follow(run: NodeRun, samples: list[Sample], sizes: Mapping[str, float], begin: float) -> None:

@@ -1,12 +1,16 @@
 """What the node's benchmarks share: a bag of a simulated drive, and a run of the two programs."""
 
 import subprocess
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from shutil import rmtree
 from typing import Any
+
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import Imu, NavSatFix, PointCloud2
 
 from incremental_mapper.cli.convert import convert
 from incremental_mapper.datasets.bags import SETTINGS_FILE
@@ -25,6 +29,8 @@ from incremental_mapper.ros.programs import (
 from incremental_mapper.settings import read_yaml
 
 SEED = 5
+KINDS = {'imu': Imu, 'gnss': NavSatFix}
+RELIABLE = QoSProfile(depth=500, reliability=ReliabilityPolicy.RELIABLE)
 PATIENCE = 600.0
 """Seconds that an overloaded node has to map what waits."""
 START = 120.0
@@ -121,6 +127,22 @@ def node_run(drive: Drive, log: Path, parameters: Mapping[str, object]) -> Itera
         run = NodeRun(drive, client, node.pid, environment)
         run.topics = {name: run.parts()[name]['topic'] for name in drive.counts}
         yield run
+
+
+def publishers(run: NodeRun) -> Mapping[str, Callable[[Any], None]]:
+    """What publishes each sensor's messages, once the node listens."""
+    node = run.client._node
+    made = {
+        sensor: node.create_publisher(KINDS.get(sensor, PointCloud2), topic, RELIABLE)
+        for sensor, topic in run.topics.items()
+    }
+    run.client.wait(
+        lambda: all(item.get_subscription_count() > 0 for item in made.values()),
+        'the subscriptions of the node',
+        START,
+    )
+    time.sleep(1.0)  # the other side of a match may take a little longer
+    return {sensor: publisher.publish for sensor, publisher in made.items()}
 
 
 def lost_table(run: NodeRun) -> str:

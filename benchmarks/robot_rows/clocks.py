@@ -12,9 +12,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from node_runs import PATIENCE, START, Drive, NodeRun, make_drive, node_run
-from rclpy.qos import QoSProfile, ReliabilityPolicy
-from sensor_msgs.msg import Imu, NavSatFix, PointCloud2
+from node_runs import PATIENCE, Drive, NodeRun, make_drive, node_run, publishers
 
 from incremental_mapper.datasets.bag_files import open_bag
 from incremental_mapper.datasets.open import open_source
@@ -31,8 +29,6 @@ from robot_rows import Seen, row
 CONFIG = Path(__file__).parents[2] / 'config' / 'kaist.yaml'
 SECONDS = 40.0
 SENSORS = ('left', 'right', 'imu', 'gnss')
-KINDS = {'imu': Imu, 'gnss': NavSatFix}
-RELIABLE = QoSProfile(depth=500, reliability=ReliabilityPolicy.RELIABLE)
 HOUR = 3600.0
 WARM_UP = 20
 """Windows after which a user may count on the latency."""
@@ -145,23 +141,13 @@ def live(
 
 def publish(run: NodeRun, sent: Sequence[Sent]) -> dict[tuple[str, int], int]:
     """Publish when it is time; returns when (ns of the system's clock), by sensor and stamp."""
-    node = run.client._node
-    topics = {
-        sensor: node.create_publisher(KINDS.get(sensor, PointCloud2), topic, RELIABLE)
-        for sensor, topic in run.topics.items()
-    }
-    run.client.wait(
-        lambda: all(item.get_subscription_count() > 0 for item in topics.values()),
-        'the subscriptions of the node',
-        START,
-    )
-    time.sleep(1.0)  # the other side of a match may take a little longer
+    send = publishers(run)
     times: dict[tuple[str, int], int] = {}
     start = time.monotonic()
     for item in sent:
         time.sleep(max(start + item.at - time.monotonic(), 0.0))
         times[item.sensor, item.stamp] = time.time_ns()
-        topics[item.sensor].publish(item.data)
+        send[item.sensor](item.data)
     return times
 
 

@@ -54,7 +54,8 @@ def join(state: GraphState, items: Sequence[Prepared], config: Config) -> float 
     offset = state.enu_offset
     if offset is None:
         offset = antenna - fixes[0].enu if fixes else np.zeros(3)
-    spread, known = fix_spread(state, items), _antenna_covariance(state, head, arm)
+    spread = fix_spread(state, items)
+    known = _antenna_covariance(state, head, arm) if fixes else np.zeros((3, 3))
     made: list[Factor] = []
     placed: list[PlacedFix] = []
     for fix in fixes:
