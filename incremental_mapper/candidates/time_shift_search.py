@@ -16,16 +16,50 @@ from incremental_mapper.candidates.model import HEAD, Candidate, Cluster
 from incremental_mapper.candidates.partitions import Element, make_cluster
 from incremental_mapper.candidates.spans import ImuStamps
 
-_Links: TypeAlias = tuple[tuple[int, int], ...]
 _Node: TypeAlias = tuple[int | None, bool]
 """Stamp of the cluster that the chain goes on from, None before there is one, and whether its
 velocity and bias are counted already."""
-_Entry: TypeAlias = tuple[int, int, int, int, _Node, tuple[Cluster, ...], tuple[int, ...], _Links]
-"""Bound, -position, tie-breaker, position, last node, clusters, nodes, links."""
 
 _VARIABLE = 10**15
 """What a variable costs where the fewest are looked for: more time shift, in nanoseconds, than a
 window can have."""
+
+
+class _Prefix:
+    """A candidate of the first elements: the one before it and one more cluster.
+
+    Long windows have tens of thousands of them at a time, so none repeats what it begins with.
+    ``path`` and ``links`` number the clusters' bounds and the connections so far: equal numbers,
+    equal prefixes. They are given to those that are looked at.
+    """
+
+    __slots__ = ('before', 'cluster', 'links', 'newest', 'path', 'size')
+
+    def __init__(
+        self, before: '_Prefix | None', cluster: Cluster | None, size: int, newest: int | None
+    ) -> None:
+        self.before, self.cluster = before, cluster
+        self.size = size  # clusters
+        self.newest = newest  # node that the chain goes on from
+        self.path = self.links = 0
+
+    def whole(self) -> tuple[tuple[Cluster, ...], list[int]]:
+        """All clusters, and the nodes of the chain in time order."""
+        clusters: list[Cluster] = []
+        nodes: list[int] = []
+        part: _Prefix | None = self
+        while part is not None:
+            if part.cluster is not None:
+                clusters.append(part.cluster)
+            if part.newest is not None and (part.before is None or part.newest == part.size - 1):
+                nodes.append(part.newest)
+            part = part.before
+        return tuple(reversed(clusters)), nodes[::-1]
+
+
+_Entry: TypeAlias = tuple[int, int, int, int, _Node, bool, _Prefix]
+"""Bound, -position, tie-breaker, position, last node, whether the newest cluster is linked to it,
+and the prefix."""
 
 
 def by_time_shift(
@@ -118,33 +152,32 @@ def _by_cost(
     order = count()
     # Where IMU samples are missing, many chains of nodes make the same connections: each is
     # followed once, else their number would grow without bound.
-    seen: set[tuple[int | None, tuple[tuple[int, int], ...], _Links]] = set()
-    start_nodes = () if head is None else (HEAD,)
+    paths: dict[tuple[int, int], int] = {}
+    links: dict[tuple[int, int | None, int], int] = {}
+    seen: set[tuple[int | None, int, int]] = set()
     start = head, True  # what G(t-1) has costs nothing
-    heap: list[_Entry] = [(cheapest(0, start), 0, next(order), 0, start, (), start_nodes, ())]
+    empty = _Prefix(None, None, 0, None if head is None else HEAD)
+    heap: list[_Entry] = [(cheapest(0, start), 0, next(order), 0, start, False, empty)]
     while heap:
-        bound, _, _, position, node, clusters, nodes, links = heapq.heappop(heap)
-        bounds = tuple((cluster.first, cluster.last) for cluster in clusters)
-        key = (useful(node[0], position), bounds, links)
+        bound, _, _, position, node, linked, prefix = heapq.heappop(heap)
+        if prefix.before is not None:
+            before = prefix.before
+            prefix.path = paths.setdefault((before.path, position), len(paths) + 1)
+            prefix.links = before.links
+            if linked:
+                link = before.links, before.newest, before.size
+                prefix.links = links.setdefault(link, len(links) + 1)
+        key = (useful(node[0], position), prefix.path, prefix.links)
         if key in seen:
             continue
         seen.add(key)
         if position == length:
-            yield connect(clusters, nodes, head, imu)
+            yield connect(*prefix.whole(), head, imu)
             continue
         spent = bound - cheapest(position, node)
         for after, merged, visited, onward, cost in steps(position, node):
-            linked = visited and sample(node[0], merged.stamp) is not None
-            heapq.heappush(
-                heap,
-                (
-                    spent + cost + cheapest(after, onward),
-                    -after,
-                    next(order),
-                    after,
-                    onward,
-                    (*clusters, merged),
-                    (*nodes, len(clusters)) if visited else nodes,
-                    (*links, (nodes[-1], len(clusters))) if linked else links,
-                ),
-            )
+            bound = spent + cost + cheapest(after, onward)
+            joins = visited and sample(node[0], merged.stamp) is not None
+            newest = prefix.size if visited else prefix.newest
+            longer = _Prefix(prefix, merged, prefix.size + 1, newest)
+            heapq.heappush(heap, (bound, -after, next(order), after, onward, joins, longer))

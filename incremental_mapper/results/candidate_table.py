@@ -25,6 +25,9 @@ Row: TypeAlias = dict[str, Any]
 
 FILE_NAME = 'candidates.parquet'
 ROWS_A_GROUP = 8192
+MEMBERS_A_GROUP = 50_000
+"""Members of clusters that wait to be written, at most: some 400 bytes each. Windows that hold a
+hundred measurements have rows that are ten times as large as usual."""
 FORMAT = 2
 
 COLUMNS = {
@@ -63,14 +66,17 @@ class CandidateWriter:
         self._partial = path.with_name(f'.{path.name}.partial')
         self._schema = _schema()
         self._waiting: list[Row] = []
+        self._members = 0
         with self._telling():
             self._writer = parquet.ParquetWriter(self._partial, self._schema, compression='zstd')
 
     def add(self, window: WindowResult) -> None:
         """Add the candidates of a window; raises OutputError where they cannot be written."""
-        self._waiting += candidate_rows(window)
-        if len(self._waiting) >= ROWS_A_GROUP:
-            self._write()
+        for row in candidate_rows(window):
+            self._waiting.append(row)
+            self._members += sum(map(len, row['clusters']))
+            if len(self._waiting) >= ROWS_A_GROUP or self._members >= MEMBERS_A_GROUP:
+                self._write()
 
     def finish(self) -> None:
         """Write what is left; only now the file has its name."""
@@ -90,7 +96,7 @@ class CandidateWriter:
 
         with self._telling():
             self._writer.write_table(pyarrow.Table.from_pylist(self._waiting, self._schema))
-        self._waiting = []
+        self._waiting, self._members = [], 0
 
     @contextmanager
     def _telling(self) -> Iterator[None]:
@@ -126,7 +132,7 @@ def candidate_recorder(path: Path) -> Iterator[Callable[[WindowResult], None] | 
         raise
 
 
-def candidate_rows(window: WindowResult) -> list[Row]:
+def candidate_rows(window: WindowResult) -> Iterator[Row]:
     """A row for each candidate of a window, with the keys of ``COLUMNS``.
 
     Args:
@@ -140,7 +146,7 @@ def candidate_rows(window: WindowResult) -> list[Row]:
     if window.winner is not None and all(item.candidate != window.winner for item in tried):
         # A bridge may take a candidate that the search had left out.
         tried.append(Tried(window.winner, connected=False))
-    return [_row(window, index, item) for index, item in enumerate(tried)]
+    return (_row(window, index, item) for index, item in enumerate(tried))
 
 
 def read_window(path: Path, window: int) -> list[Row]:

@@ -122,13 +122,33 @@ def test_rows_are_written_in_groups(recorded, tmp_path, monkeypatch):
     assert written.read().equals(parquet.read_table(path))
 
 
+def test_windows_of_many_measurements_wait_in_smaller_groups(recorded, tmp_path, monkeypatch):
+    """A thousand candidates of a hundred fixes each would else take half a gigabyte."""
+    monkeypatch.setattr(candidate_table, 'MEMBERS_A_GROUP', 40)
+    path = tmp_path / FILE_NAME
+    with candidate_recorder(path) as record:
+        for window in recorded[0]:
+            record(window)
+    written = parquet.ParquetFile(path)
+    most = max(
+        sum(len(cluster) for cluster in row['clusters'])
+        for window in recorded[0]
+        for row in candidate_rows(window)
+    )
+    for group in range(written.num_row_groups):
+        rows = written.read_row_group(group).column('clusters').to_pylist()
+        assert sum(len(cluster) for row in rows for cluster in row) < 40 + most
+    assert written.num_row_groups > 3
+    assert written.read().equals(parquet.read_table(recorded[1]))
+
+
 def test_winner_that_was_not_tried_gets_a_row(recorded):
     """A bridge may take a candidate that the search had left out."""
     from dataclasses import replace
 
     window = next(item for item in recorded[0] if item.winner is not None and len(item.tried) > 1)
     others = tuple(tried for tried in window.tried if tried.candidate != window.winner)
-    rows = candidate_rows(replace(window, tried=others))
+    rows = list(candidate_rows(replace(window, tried=others)))
     assert len(rows) == len(others) + 1
     assert [row['winner'] for row in rows] == [False] * len(others) + [True]
     assert not rows[-1]['connected'] and not rows[-1]['solved'] and rows[-1]['score'] is None
