@@ -1,6 +1,6 @@
 """Factors: a GTSAM factor together with what it was made of."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
@@ -307,3 +307,44 @@ def bias_random_walk(
 
 def _describe_random_walk(factor: Any) -> dict[str, Any]:
     return {'sigmas': factor.noiseModel().sigmas().tolist()}
+
+
+def beside_gtsam(factor: Factor) -> dict[str, Any]:
+    """What ``Factor.data`` has that the GTSAM factor does not hold, in plain values.
+
+    Args:
+        factor: Any factor of this room.
+    """
+    names = _BESIDE.get(factor.kind)
+    data = factor.data if names else {}
+    return {name: data[name] for name in names or ()}
+
+
+_BESIDE = {
+    FactorKind.GNSS: ('covariance', 'lever_arm'),
+    FactorKind.IMU: ('span_ns', 'samples'),
+}
+
+
+def describer(kind: FactorKind, beside: Mapping[str, Any]) -> Describe:
+    """The ``Factor.describe`` of a factor that was read from a file.
+
+    Args:
+        kind: Its kind.
+        beside: What ``beside_gtsam`` told of it.
+    """
+    if kind is FactorKind.GNSS:
+        covariance, arm = np.array(beside['covariance']), np.array(beside['lever_arm'])
+        return partial(_describe_gnss, covariance, arm)
+    if kind is FactorKind.IMU:
+        start, end = beside['span_ns']
+        return partial(_describe_imu, (start, end), beside['samples'])
+    return {
+        FactorKind.ODOMETRY: _describe_between,
+        FactorKind.BRIDGE: _describe_between,
+        FactorKind.PRIOR_POSE: _describe_pose_prior,
+        FactorKind.PRIOR_VELOCITY: _describe_velocity_prior,
+        FactorKind.PRIOR_BIAS: _describe_bias_prior,
+        FactorKind.CONSTANT_VELOCITY: _describe_constant_velocity,
+        FactorKind.BIAS_RANDOM_WALK: _describe_random_walk,
+    }[kind]

@@ -23,10 +23,11 @@ from incremental_mapper.frontend.imu_preintegration import (
     preintegration_parameters,
 )
 from incremental_mapper.frontend.lidar_odometry import PreparedScan
-from incremental_mapper.map.store import make_store
+from incremental_mapper.map.store import PointStore, make_store
 from incremental_mapper.mapping.base_count import BaseCount
 from incremental_mapper.mapping.commit import NOTHING, Committed, commit
 from incremental_mapper.mapping.failed_windows import FailedWindows
+from incremental_mapper.mapping.final_solve import final_values
 from incremental_mapper.mapping.georeferencing import georeference, without_fixes
 from incremental_mapper.mapping.imu_gate import ImuGate
 from incremental_mapper.mapping.imu_intake import ImuIntake
@@ -34,7 +35,7 @@ from incremental_mapper.mapping.joining import join, joinable
 from incremental_mapper.mapping.judgement import judge_map
 from incremental_mapper.mapping.load_shedding import NO_SHEDDING, LoadShedding
 from incremental_mapper.mapping.newest_state import NewestState, newest_state
-from incremental_mapper.mapping.result import MapResult, WindowResult, trajectory_of
+from incremental_mapper.mapping.result import MapResult, WindowResult, fixes_in_map, trajectory_of
 from incremental_mapper.mapping.same_stamp import prefer_usable
 from incremental_mapper.mapping.scan_intake import ScanIntake
 from incremental_mapper.mapping.standstill import Standstill
@@ -53,8 +54,8 @@ from incremental_mapper.selection.choice import Choice
 from incremental_mapper.selection.strategies import find_strategy
 from incremental_mapper.selection.window_problem import pose_problem
 from incremental_mapper.selection.window_record import WindowRecord, record_window
+from incremental_mapper.settings import to_tree
 from incremental_mapper.smoothing import linear_system
-from incremental_mapper.smoothing.batch import make_graph, optimize
 from incremental_mapper.smoothing.graph_state import GraphState
 
 IMU = 'imu'
@@ -85,17 +86,24 @@ class Mapper:
     y left, z up. One thread at a time may use a mapper.
     """
 
-    def __init__(self, config: Config, sensors: Sequence[str] = (), predict: bool = False) -> None:
+    def __init__(
+        self,
+        config: Config,
+        sensors: Sequence[str] = (),
+        predict: bool = False,
+        store: PointStore | None = None,
+    ) -> None:
         """Make ready for the first measurement.
 
         Args:
             config: All settings.
             sensors: Names to wait for from the start; others are waited for once they are seen.
             predict: Wait for no sensor beyond what is usual for it; whoever needs windows soon.
+            store: Keeps the points of the scans; None is what ``map.store`` says.
 
         Raises:
             ConfigError: The strategy is unknown or cannot be loaded.
-            OutputError: The folder of ``map.store: disk`` cannot be used.
+            OutputError: ``map.store_folder`` cannot be used.
         """
         self.config = config
         self._strategy = find_strategy(config.selection.strategy)
@@ -105,7 +113,8 @@ class Mapper:
         # Closed, and waiting for their scans or to be merged with the next.
         self._held: list[tuple[Window, Preparation]] = []
         self._shedding = NO_SHEDDING
-        store = make_store(config.map)  # may fail, so before any process is started
+        if store is None:
+            store = make_store(config.map)  # may fail, so before any process is started
         self._front_end = FrontEnd(config)
         begin = self._front_end.begin if predict else None
         self._buffer = WindowBuffer(config.window, awaited, predict, prefer_usable(config), begin)
@@ -124,6 +133,7 @@ class Mapper:
         self._failures = FailedWindows()
         self._rows: list[dict[str, Any]] = []
         self._watch = Watch(config)
+        self._settings = to_tree(config)
 
     @property
     def state(self) -> GraphState:
@@ -216,14 +226,8 @@ class Mapper:
 
         G(t) is optimised once more for it if ``graph.final_optimization`` says so.
         """
-        values = self._state.all_values()
-        if self.config.graph.final_optimization and self._state.clusters:
-            everything = make_graph(factor.factor for factor in self._state.factors)
-            solution = optimize(everything, values, 100)
-            if solution is None:
-                self._totals.solver_failures += 1
-            else:
-                values = solution.values
+        values, failed = final_values(self._state, self.config)
+        self._totals.solver_failures += int(failed)
         clusters = tuple(self._state.clusters)
         return MapResult(
             clusters=clusters,
@@ -231,7 +235,7 @@ class Mapper:
             values=values,
             trajectory=trajectory_of(clusters, values),
             scans=tuple(self._state.scans),
-            fixes=self._fixes(),
+            fixes=fixes_in_map(self._state),
             rows=tuple(self._rows),
             statistics=self.statistics,
             findings=self._watch.final(
@@ -256,6 +260,22 @@ class Mapper:
                 *self._state.store.findings,
             ]
         )
+
+    @property
+    def lasting_findings(self) -> tuple[Finding, ...]:
+        """``findings`` without what is judged anew when the map ends: ``judge_map`` has that."""
+        return ranked(
+            [
+                *self._watch.lasting(),
+                *outcome_findings(self._outcome()),
+                *self._state.store.findings,
+            ]
+        )
+
+    @property
+    def failed_windows(self) -> Sequence[WindowRecord]:
+        """The inputs of windows that failed, the first few of them."""
+        return self._failures.records
 
     @property
     def mend(self) -> Tree:
@@ -290,7 +310,7 @@ class Mapper:
     def statistics(self) -> MapStatistics:
         """The record of all windows so far; its cost does not grow with the drive."""
         return map_statistics(
-            self.config,
+            self._settings,
             self._state,
             self._base,
             self._totals,
@@ -308,13 +328,6 @@ class Mapper:
     def _outcome(self) -> Outcome:
         notes = self._front_end.notes
         return self._watch.fit.outcome(self._state, self._totals, notes, self._failures.records)
-
-    def _fixes(self) -> NDArray[np.float64]:
-        offset = self._state.enu_offset
-        if offset is None:
-            return np.zeros((0, 3))
-        fixes: NDArray[np.float64] = np.array([fix.enu for fix in self._state.fixes])
-        return fixes.reshape(-1, 3) + offset
 
     def close(self) -> None:
         """Let go of processes and threads; nothing may be pushed afterwards."""

@@ -17,7 +17,7 @@ from incremental_mapper.map.cloud import accumulate
 from incremental_mapper.mapping.statistics import MapStatistics
 from incremental_mapper.selection.choice import Tried
 from incremental_mapper.selection.window_record import WindowRecord
-from incremental_mapper.smoothing.graph_state import PlacedCluster, PlacedScan
+from incremental_mapper.smoothing.graph_state import GraphState, PlacedCluster, PlacedScan
 from incremental_mapper.trajectory import Trajectory, from_matrices
 from incremental_mapper.variables import pose_key
 
@@ -134,3 +134,11 @@ def trajectory_of(clusters: Sequence[PlacedCluster], values: gtsam.Values) -> Tr
         stamps += here
         poses += [values.atPose3(pose_key(placed.id)).matrix()] * len(here)
     return from_matrices(np.array(stamps, dtype=np.int64), np.array(poses).reshape(-1, 4, 4))
+
+
+def fixes_in_map(state: GraphState) -> NDArray[np.float64]:
+    """Antenna positions (K, 3) of the fixes of G(t), metres in the map."""
+    if state.enu_offset is None:
+        return np.zeros((0, 3))
+    fixes: NDArray[np.float64] = np.array([fix.enu for fix in state.fixes])
+    return fixes.reshape(-1, 3) + state.enu_offset

@@ -2,12 +2,12 @@
 
 import resource
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, field, fields
-from typing import Any
+from typing import Any, Self
 
 from incremental_mapper.candidates.model import CoreMeasurement
-from incremental_mapper.config import Config, Tree
+from incremental_mapper.config import Tree
 from incremental_mapper.frontend.gnss import Datum
 from incremental_mapper.frontend.match_noise import WEAK
 from incremental_mapper.graph.factors import FactorKind
@@ -15,7 +15,6 @@ from incremental_mapper.mapping.base_count import BaseCount
 from incremental_mapper.measurements import NANOSECONDS, Drops
 from incremental_mapper.scoring.verification import Verification, verification_summary
 from incremental_mapper.selection.choice import Choice
-from incremental_mapper.settings import to_tree
 from incremental_mapper.smoothing.graph_state import GraphState
 
 STAGES = ('front_end', 'candidates', 'solve', 'score', 'append')
@@ -123,6 +122,10 @@ def window_row(
     return row
 
 
+KEYS = {'score_names': 'selection.score'}
+"""Keys of ``stats.json`` that are no names of fields."""
+
+
 @dataclass(frozen=True, slots=True)
 class MapStatistics:
     """What the mapper counted: the first part of ``stats.json``, field by field a key.
@@ -183,15 +186,25 @@ class MapStatistics:
 
     def to_tree(self) -> dict[str, Any]:
         """The keys of ``stats.json`` in their order, as plain values."""
-        names = {'score_names': 'selection.score'}
-        tree = {names.get(item.name, item.name): getattr(self, item.name) for item in fields(self)}
+        tree = {KEYS.get(item.name, item.name): getattr(self, item.name) for item in fields(self)}
         if self.verification is None:
             del tree['verification']
         return tree
 
+    @classmethod
+    def from_tree(cls, tree: Mapping[str, Any]) -> Self:
+        """What ``to_tree`` was made of.
+
+        Args:
+            tree: Its keys, and no others.
+        """
+        names = {key: name for name, key in KEYS.items()}
+        made = {names.get(key, key): value for key, value in tree.items()}
+        return cls(**{'verification': None, **made})
+
 
 def map_statistics(
-    config: Config,
+    settings: Tree,
     state: GraphState,
     base: BaseCount,
     totals: Totals,
@@ -204,7 +217,7 @@ def map_statistics(
     """The record of all windows so far.
 
     Args:
-        config: All settings.
+        settings: All of them.
         state: G(t).
         base: Counts of the base graph.
         totals: Sums over the windows.
@@ -223,7 +236,7 @@ def map_statistics(
         drive = passed / NANOSECONDS
     verified = totals.verifications
     return MapStatistics(
-        strategy=config.selection.strategy,
+        strategy=settings['selection']['strategy'],
         windows=totals.windows,
         clusters=clusters,
         vertices=vertices,
@@ -264,7 +277,7 @@ def map_statistics(
         notes=dict(notes),
         drive_s=drive,
         seconds_by_stage={stage: round(totals.seconds[stage], 4) for stage in STAGES},
-        settings=to_tree(config),
+        settings=settings,
         verification=verification_summary(verified) if verified else None,
         datum=None if datum is None else list(astuple(datum)),
     )

@@ -137,6 +137,11 @@ class Watch:
         ]
         return ranked([*self._findings, *more])
 
+    def lasting(self) -> tuple[Finding, ...]:
+        """``findings`` without those of the fit, which a whole map is judged for anew."""
+        more = [*self._asked(self._of_fixes), *self._asked(self._presence.so_far)]
+        return ranked([*self._findings, *more])
+
     def mended(self) -> tuple[Finding, ...]:
         """The findings that ``mend`` follows from."""
         return ranked(found for found in self._findings if found.changes)

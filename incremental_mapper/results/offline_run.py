@@ -21,11 +21,12 @@ from incremental_mapper.checks.fix_shape import without_consequences
 from incremental_mapper.config import Config, Tree
 from incremental_mapper.datasets.open import open_source, read_truth
 from incremental_mapper.datasets.source import Source
-from incremental_mapper.errors import InputError
+from incremental_mapper.errors import InputError, OutputError
 from incremental_mapper.mapping.load_shedding import READ_AHEAD
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.mapping.result import MapResult, WindowResult
 from incremental_mapper.results.candidate_table import FILE_NAME, candidate_recorder
+from incremental_mapper.results.journal.journal_writer import Journal
 from incremental_mapper.results.run_folder import draw_result, prepare_folder, write_result
 from incremental_mapper.results.run_statistics import InputFacts, RunStatistics
 from incremental_mapper.results.survey import BRIEF, survey
@@ -34,6 +35,7 @@ from incremental_mapper.settings import make_config, merge, read_yaml
 from incremental_mapper.trajectory import Trajectory
 from incremental_mapper.visualization.extras import left_out
 
+KEPT = '; the map is in its journal: "incremental_mapper recover {}" makes its files'
 MOST_MENDS = 3
 """How often a run begins anew with settings that its data proved right."""
 
@@ -189,13 +191,25 @@ def map_into(
         OutputError: A file cannot be written.
         KeyboardInterrupt: It was stopped before anything was mapped.
     """
+    journals: list[Journal] = []
 
     def attempt(drive: Drive, may_mend: bool) -> Run:
-        with candidate_recorder(folder / FILE_NAME) as record:
-            return _map_once(drive, progress, stop, record, may_mend)
+        with (
+            candidate_recorder(folder / FILE_NAME) as record,
+            _journaling(drive) as journal,
+        ):
+            run = _map_once(drive, progress, stop, record, may_mend, journal)
+        journals.extend([] if journal is None else [journal])
+        return run
 
     run = _mending(drive, attempt)
-    write_result(folder, run.result, run.cloud, run.statistics.to_tree())
+    try:
+        write_result(folder, run.result, run.cloud, run.statistics.to_tree())
+    except OutputError as error:
+        kept = ' and '.join(str(journal.path) for journal in journals if journal.holds_map)
+        raise OutputError(f'{error}{KEPT.format(kept) if kept else ""}') from error
+    for journal in journals:
+        journal.remove()
     draw_result(folder, run.result, run.points, drive.truth)
     missing = left_out((FILE_NAME, 'pictures'))
     return run, [] if missing is None else [missing]
@@ -294,22 +308,45 @@ def _mending(drive: Drive, attempt: Callable[[Drive, bool], Run]) -> Run:
     return attempt(drive, False)
 
 
+@contextmanager
+def _journaling(drive: Drive) -> Iterator[Journal | None]:
+    """The journal of a run, if one is wanted; it stays where the run fails."""
+    place, info = drive.config.journal.folder, drive.source.info
+    if not place:
+        yield None
+        return
+    facts = InputFacts(str(info.path), info.kind, info.counts, drive.all_notes())
+    known = (*info.findings, *drive.mended)
+    journal = Journal(Path(place).expanduser().absolute(), drive.config, facts, known)
+    try:
+        yield journal
+    except MendError:
+        journal.remove()  # all of it is mapped again
+        raise
+    finally:
+        journal.close()
+
+
 def _map_once(
     drive: Drive,
     progress: Callable[[int], object] | None = None,
     stop: Stop | None = None,
     observe: Callable[[WindowResult], object] | None = None,
     may_mend: bool = False,
+    journal: Journal | None = None,
 ) -> Run:
     """As ``map_source``; raises MendError, if it may, where the data prove a setting wrong."""
     source, config, truth = drive.source, drive.config, drive.truth
 
     def tell(windows: Iterable[WindowResult]) -> None:
         for window in windows:
+            if journal is not None:
+                journal.window(mapper, window, source.drops)
             if observe is not None:
                 observe(window)
 
-    mapper = Mapper(config, [name for name, count in source.info.counts.items() if count])
+    sensors = [name for name, count in source.info.counts.items() if count]
+    mapper = Mapper(config, sensors, store=journal)
     started = time.perf_counter()  # what is compiled or started once is no part of the mapping
     interrupted, count = False, 0
     with closing(mapper):

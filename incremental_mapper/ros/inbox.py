@@ -34,7 +34,6 @@ class Order(StrEnum):
     FLUSH = 'flush'
     RESET = 'reset'
     SAVE = 'save_map'
-    AUTOSAVE = 'autosave'
     STOP = 'stop'
 
 

@@ -3,7 +3,7 @@
 import gc
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TypeAlias
@@ -19,6 +19,7 @@ from incremental_mapper.mapping.statistics import peak_rss_mb
 from incremental_mapper.measurements import Drops, Measurement
 from incremental_mapper.results.candidate_spool import CandidateSpool
 from incremental_mapper.results.candidate_table import FILE_NAME
+from incremental_mapper.results.journal.journal_writer import Journal
 from incremental_mapper.results.run_statistics import InputFacts
 from incremental_mapper.ros.inbox import View
 from incremental_mapper.ros.live_map import LiveMap
@@ -30,6 +31,8 @@ from incremental_mapper.visualization.extras import LIBRARIES
 
 Told: TypeAlias = PoseUpdate | WindowUpdate
 
+TOPICS = 'ROS topics'
+AUTOSAVE = '_autosave'
 FAILED = 'mapper_failed'
 """Why a measurement was lost where the mapper raised."""
 
@@ -42,12 +45,29 @@ class MapSession:
     its voxels take. Any thread may read these. Whatever the libraries below raise is let through.
     """
 
-    def __init__(self, config: Config, mended: Sequence[Finding] = ()) -> None:
-        """Begin a map; ``mended`` is what ``config`` puts right."""
-        self._mended = tuple(mended)
+    def __init__(
+        self,
+        config: Config,
+        mended: Sequence[Finding] = (),
+        outside: Callable[[], Drops] = Drops,
+    ) -> None:
+        """Begin a map.
+
+        Args:
+            config: All settings.
+            mended: What they put right.
+            outside: Tells what was lost before the mapper.
+        """
+        self._mended, self._outside = tuple(mended), outside
         self.limited_windows = self.scan_bytes = self.cloud_bytes = 0
         gc.collect()  # a map before this one is large, and may wait in cycles of references
-        self._mapper = Mapper(config, [*config.lidars, IMU, GNSS], config.window.predict)
+        self.journal = _journal(config, self._mended)
+        sensors = [*config.lidars, IMU, GNSS]
+        try:
+            self._mapper = Mapper(config, sensors, config.window.predict, self.journal)
+        except BaseException:
+            self.discard()
+            raise
         self._live = LiveMap(self._mapper)
         self._started: float | None = None
         self._odometry = OdometryFrame(config.odometry)
@@ -62,6 +82,13 @@ class MapSession:
         self._mapper.close()
         if self._spool is not None:
             self._spool.close()
+        if self.journal is not None:
+            self.journal.close()
+
+    def discard(self) -> None:
+        """Leave no journal: nobody wants this map, or it is mapped again."""
+        if self.journal is not None:
+            self.journal.remove()
 
     def advance(self, measurement: Measurement, shedding: LoadShedding) -> Iterator[Told]:
         """Map a measurement; the windows that it completes are told of one by one."""
@@ -121,9 +148,18 @@ class MapSession:
             findings: What was wrong with it.
         """
         counts = dict(self._mapper.stats()['received'])
-        facts = InputFacts('ROS topics', 'ROS topics', counts)
+        facts = InputFacts(TOPICS, TOPICS, counts)
         known = (*findings, *self._mended)
-        return Snapshot(self._mapper, drops, self._wall(), facts, known, peak_rss_mb(), self._spool)
+        return Snapshot(
+            self._mapper,
+            drops,
+            self._wall(),
+            facts,
+            known,
+            peak_rss_mb(),
+            self._spool,
+            self.journal,
+        )
 
     def taken(self, reason: str) -> Drops:
         """Everything that the mapper took in and has not counted as dropped.
@@ -159,6 +195,8 @@ class MapSession:
             yield self._update(result, newest)
 
     def _update(self, result: WindowResult, newest: NewestState | None) -> WindowUpdate:
+        if self.journal is not None:
+            self.journal.window(self._mapper, result, self._outside())
         self._live.follow()
         if self._spool is not None:
             self._spool.add(result)
@@ -179,3 +217,23 @@ class MapSession:
         scans = self._mapper.state.scans
         before, self._scans = self._scans, len(scans)
         return scans[before:]
+
+
+def journal_folder(config: Config) -> Path | None:
+    """Where a node keeps its journals; None where none is wanted.
+
+    Args:
+        config: All settings.
+    """
+    name = config.journal.folder
+    if not name and config.save.every > 0.0:
+        name = config.save.folder + AUTOSAVE
+    return Path(name).expanduser().absolute() if name else None
+
+
+def _journal(config: Config, mended: Sequence[Finding]) -> Journal | None:
+    folder = journal_folder(config)
+    if folder is None:
+        return None
+    facts = InputFacts(TOPICS, TOPICS, {})
+    return Journal(folder, config, facts, mended, config.save.every or config.journal.sync)

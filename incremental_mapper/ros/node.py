@@ -274,7 +274,6 @@ class MapperNode:
     def _on_tick(self) -> None:
         self._inputs.look()
         self._extrinsics.look()
-        self._worker.look()
         self._mend_inputs()
         self._worker.graph_span = self.parameters.config.graph.markers_span
         self._outputs.tick()

@@ -27,7 +27,6 @@ CHANGEABLE = (
     'graph.markers_span',
     'save.folder',
     'save.on_shutdown',
-    'save.every',
     'save.fallback',
 )
 """Parameters that may change while the node runs; all others are read-only."""

@@ -9,14 +9,12 @@ from pathlib import Path
 from incremental_mapper.checks.finding import Finding, Severity
 from incremental_mapper.config import SaveSettings
 from incremental_mapper.ros.inbox import Command
-from incremental_mapper.ros.map_session import MapSession
 from incremental_mapper.ros.save_process import MOST, Job, Outcome, SaveProcesses, run_here
 from incremental_mapper.ros.saving import (
     EMPTY,
     Saved,
     Snapshot,
     Target,
-    free_name,
     save_map,
     write_candidates,
 )
@@ -25,7 +23,6 @@ from incremental_mapper.ros.updates import Reply, Trouble, Update
 PICTURES = 10.0
 """Seconds for which the end of the node waits for pictures; they are made without it, too, unless
 whatever the node runs in ends with it."""
-AUTOSAVE = '_autosave'
 BUSY = 'two maps are being saved already; call again when they are'
 
 
@@ -48,8 +45,6 @@ class Saves:
         self._emit = emit
         self._settings = settings
         self._processes = SaveProcesses(lambda remark: emit(Trouble(remark)))
-        self._autosave: tuple[MapSession, Path] | None = None
-        self._last = time.monotonic()
 
     def asked(self, command: Command, snapshot: Snapshot) -> None:
         """Save because somebody called for it; the reply comes when the data are in place."""
@@ -77,40 +72,25 @@ class Saves:
         if not folder:
             return
         job = _job(snapshot, self._target(folder), self._settings().pictures, quiet=not last)
+
+        def ended(outcome: Outcome) -> None:
+            # What lies elsewhere, or not whole, leaves the journal a use.
+            if snapshot.journal is not None and outcome.saved and not outcome.saved.trouble:
+                snapshot.journal.remove()
+            self._ended(outcome)
+
         outcomes: list[Outcome] = []
-        self._processes.start(job, outcomes.append if last else self._ended)
+        self._processes.start(job, outcomes.append if last else ended)
         if not last:
             return
         self._processes.wait()
         (outcome,) = outcomes
-        self._ended(run_here(job.save) if outcome.died else outcome)
+        ended(run_here(job.save) if outcome.died else outcome)
 
     def nothing(self) -> None:
         """Tell that there is no map to be saved at the end, if one is wanted."""
         if self._settings().on_shutdown:
             self._ended(Outcome(None, EMPTY))
-
-    def due(self) -> bool:
-        """Whether it is time for an autosave; any thread may ask."""
-        every = self._settings().every
-        return every > 0 and time.monotonic() - self._last >= every
-
-    def now_and_then(self, session: MapSession, snapshot: Snapshot) -> None:
-        """Save the data beside the wanted folder, unless a save is under way."""
-        self._last = time.monotonic()
-        if self._processes.saving:
-            return
-        if self._autosave is None or self._autosave[0] is not session:
-            folder = Path(self._settings().folder).expanduser().absolute()
-            self._autosave = session, free_name(folder.with_name(folder.name + AUTOSAVE))
-        target = Target(self._autosave[1], replaces=True)
-
-        def done(outcome: Outcome) -> None:
-            self._tell_fault(outcome)
-            if outcome.saved is None:
-                self._emit(Trouble(f'no autosave: {outcome.reason}'))
-
-        self._processes.start(Job(lambda: save_map(target, snapshot), pictures=False), done)
 
     def finish(self) -> None:
         """Wait until all data are in place, and a while for pictures."""

@@ -3,12 +3,10 @@
 Data only. Pictures and ``candidates.parquet`` take longer and can be made afterwards.
 """
 
-import os
 import shutil
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from itertools import count
 from pathlib import Path
 
 from incremental_mapper.checks.finding import Finding, Severity
@@ -17,6 +15,8 @@ from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.measurements import Drops
 from incremental_mapper.results.candidate_spool import CandidateSpool
 from incremental_mapper.results.candidate_table import FILE_NAME, candidate_recorder
+from incremental_mapper.results.journal.journal_writer import Journal
+from incremental_mapper.results.new_folder import free_name, sync_folder
 from incremental_mapper.results.run_folder import GRAPH, TRAJECTORY, write_result
 from incremental_mapper.results.run_statistics import InputFacts, RunStatistics
 
@@ -35,6 +35,7 @@ class Snapshot:
         findings: What was wrong with the input, before the mapper's own.
         peak_rss_mb: The largest resident memory of the node.
         spool: The candidates of all windows, where they are kept.
+        journal: The map's journal, if there is one.
     """
 
     mapper: Mapper
@@ -44,6 +45,7 @@ class Snapshot:
     findings: tuple[Finding, ...]
     peak_rss_mb: float
     spool: CandidateSpool | None = None
+    journal: Journal | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,12 +55,10 @@ class Target:
     Attributes:
         folder: The folder; where it exists, ``folder_2`` and so on is made.
         fallback: Takes the folder's name where its own place cannot be written; None gives up.
-        replaces: ``folder`` is the same map at an earlier time, and goes once the new one stands.
     """
 
     folder: Path
     fallback: Path | None = None
-    replaces: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,11 +167,11 @@ def _put(folder: Path, target: Target, write: Callable[[Path], None]) -> tuple[P
     try:
         if not newest.trouble:
             elsewhere = f'not in its place, copy it from there: {trouble}' if trouble else ''
-            return _stand(newest, target.replaces and not trouble), elsewhere
+            return _stand(newest), elsewhere
         for attempt in attempts:
-            if attempt.useful and not target.replaces:
+            if attempt.useful:
                 part = attempt.target.with_name(f'{attempt.target.name}_incomplete')
-                return _stand(replace(attempt, target=part), False), f'incomplete: {trouble}'
+                return _stand(replace(attempt, target=part)), f'incomplete: {trouble}'
     except OSError as error:
         trouble = f'{newest.target}: cannot be written ({error.strerror or error})'
     finally:
@@ -189,7 +189,7 @@ def _attempt(target: Path, write: Callable[[Path], None]) -> _Attempt:
         # mkdtemp makes folders that only their owner can read.
         scratch.chmod(0o755)
         write(scratch)
-        _sync(scratch)
+        sync_folder(scratch)
     except OSError as error:
         reason = error.strerror or str(error)
         return _Attempt(target, scratch, f'{target}: cannot be written ({reason})')
@@ -201,36 +201,9 @@ def _attempt(target: Path, write: Callable[[Path], None]) -> _Attempt:
     return _Attempt(target, scratch)
 
 
-def _sync(folder: Path) -> None:
-    """Wait until a folder's files are on the disk: a robot's power may be cut at any time."""
-    for path in (*folder.iterdir(), folder):
-        number = os.open(path, os.O_RDONLY)
-        try:
-            os.fsync(number)
-        finally:
-            os.close(number)
-
-
-def _stand(attempt: _Attempt, replaces: bool) -> Path:
+def _stand(attempt: _Attempt) -> Path:
     """Give an attempt its name, or one that is free."""
     assert attempt.scratch is not None
-    target = attempt.target
-    if not replaces or not target.is_dir():
-        place = free_name(target)
-        attempt.scratch.rename(place)
-        return place
-    # No two folders can change places in one step; one of both has its name at any moment.
-    previous = free_name(target.with_name(f'{target.name}_previous'))
-    target.rename(previous)
-    attempt.scratch.rename(target)
-    shutil.rmtree(previous, ignore_errors=True)
-    return target
-
-
-def free_name(target: Path) -> Path:
-    """The path itself, or with the first number that makes it one that is not taken."""
-    numbers = count(2)
-    place = target
-    while place.exists() or place.is_symlink():
-        place = target.with_name(f'{target.name}_{next(numbers)}')
+    place = free_name(attempt.target)
+    attempt.scratch.rename(place)
     return place

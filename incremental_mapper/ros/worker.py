@@ -13,9 +13,10 @@ from incremental_mapper.datasets.sectors import SectorGatherer
 from incremental_mapper.datasets.sensor_settings import with_settings
 from incremental_mapper.errors import MapperError
 from incremental_mapper.measurements import Drops, LidarScan, Measurement
-from incremental_mapper.results.offline_run import MOST_MENDS
+from incremental_mapper.results.offline_run import KEPT, MOST_MENDS
 from incremental_mapper.ros.beginning import Beginning
 from incremental_mapper.ros.inbox import Command, Deadline, Inbox, Order, Renewal
+from incremental_mapper.ros.left_over import LeftOver
 from incremental_mapper.ros.map_session import FAILED, MapSession, Told
 from incremental_mapper.ros.saves import Saves
 from incremental_mapper.ros.saving import Snapshot
@@ -69,12 +70,13 @@ class Worker:
         self._known: tuple[Finding, ...] = ()  # what the settings put right by now
         self.saves = Saves(emit, lambda: self.save_settings())
         self.save_settings: Callable[[], SaveSettings] = lambda: config.save
-        self._autosave_waits = False
-        self._session: MapSession | None = MapSession(config)
+        self._left_over = LeftOver(config, emit)
+        self._session: MapSession | None = self._new_session()
 
     def start(self) -> None:
-        """Start the thread."""
+        """Start the thread, and what is made of journals of before."""
         self._thread.start()
+        self._left_over.start()
 
     def begin_stop(self, seconds: float) -> None:
         """Map what waits for at most ``seconds``, close the windows, save if wanted, end."""
@@ -84,12 +86,6 @@ class Worker:
     def running(self) -> bool:
         """Whether the thread has not ended."""
         return self._thread.is_alive()
-
-    def look(self) -> None:
-        """Order an autosave, if it is time; called now and then by another thread."""
-        if not self._autosave_waits and self.saves.due():
-            self._autosave_waits = True
-            self.inbox.put(Command(Order.AUTOSAVE))
 
     def join(self) -> None:
         """Wait for the end."""
@@ -200,7 +196,7 @@ class Worker:
         try:
             if before is not None:
                 before.close()
-            self._session = MapSession(self.config, self._known)
+            self._session = self._new_session()
         except Exception as error:
             self.failures += 1
             self._retry = Deadline(RETRY)
@@ -210,6 +206,9 @@ class Worker:
             )
             return f'no new map can begin: {error}'
         return None
+
+    def _new_session(self) -> MapSession:
+        return MapSession(self.config, self._known, self.drops)
 
     def _too_late(self) -> bool:
         return self._deadline is not None and self._deadline.passed()
@@ -234,6 +233,8 @@ class Worker:
         self.jumps.restart()
         if self._session is None:
             self._emit(Restarted('', self.config, self._known))
+        else:
+            self._session.discard()
         # Before its first measurement nobody need know that there was another map.
         self._begin('' if again == () else renewal.reason)
         for measurement in again or ():
@@ -312,16 +313,16 @@ class Worker:
         else:
             self._save_quietly(last=True)
         self.saves.finish()
+        journal = None if self._session is None else self._session.journal
+        if journal is not None and journal.holds_map:
+            self._emit(Trouble(f'not saved elsewhere{KEPT.format(journal.path)}'))
 
     def _obey(self, command: Command) -> Reply | None:
         """Do what is ordered; returns the reply, unless it comes later or nobody waits for one."""
-        if command.order is Order.AUTOSAVE:
-            self._autosave_waits = False
-            if self._session is not None and not self._session.empty:
-                self.saves.now_and_then(self._session, self._snapshot(self._session))
-            return None
         if command.order is Order.RESET:
             self.jumps.restart()
+            if self._session is not None:
+                self._session.discard()
             trouble = self._begin('asked to')
             return Reply(command.ticket, trouble is None, trouble or 'a new map begins')
         if self._session is None:

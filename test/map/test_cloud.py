@@ -1,7 +1,10 @@
 """The accumulated map, and the stores that its scans are kept in."""
 
 import gc
+import os
 import resource
+import tempfile
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +15,7 @@ from hypothesis import strategies as st
 import incremental_mapper.map.cloud as cloud
 from incremental_mapper.errors import OutputError
 from incremental_mapper.geometry import pose_matrix, transform_points
-from incremental_mapper.map.store import DiskStore, MemoryStore, make_store
+from incremental_mapper.map.store import MemoryStore, SpillingStore, large_files, make_store
 from incremental_mapper.settings import make_config
 
 
@@ -99,10 +102,14 @@ def test_map_without_scans_is_empty():
     assert cloud.accumulate([], 0.2).shape == (0, 3)
 
 
-@pytest.mark.parametrize('kind', ['memory', 'disk'])
+def store_of(**settings):
+    return make_store(make_config({'map': settings}).map)
+
+
+@pytest.mark.parametrize('kind', ['memory', 'spill', 'disk'])
 def test_store_gives_back_what_was_put(kind, tmp_path):
-    store = make_store(make_config({'map': {'store': kind, 'store_folder': str(tmp_path)}}).map)
-    assert isinstance(store, DiskStore if kind == 'disk' else MemoryStore)
+    store = store_of(store=kind, store_folder=str(tmp_path), memory=0.05)
+    assert isinstance(store, MemoryStore if kind == 'memory' else SpillingStore)
     clouds = [scattered(count, 20.0, count) for count in (100, 0, 1, 5000)]
     clouds += [np.pad(points, ((0, 0), (0, 1)), constant_values=7.0) for points in clouds]
     stored = [store.put(points) for points in clouds]
@@ -118,7 +125,7 @@ def open_files():
 
 def test_disk_store_leaves_nothing_behind(tmp_path):
     gc.collect()  # files of tests before
-    store = DiskStore(tmp_path)
+    store = SpillingStore(tmp_path)
     kept = store.put(scattered(100, 20.0, 0))
     descriptors = open_files()
     del store
@@ -138,7 +145,7 @@ def test_folder_that_cannot_hold_the_map_is_named(tmp_path):
 
 def test_full_disk_keeps_scans_in_memory_and_then_counts_them(tmp_path):
     scans = [np.full((100, 3), number, dtype=np.float32) for number in range(6)]
-    store = DiskStore(tmp_path, most_in_memory=2400)
+    store = SpillingStore(tmp_path, most_in_memory=2400)
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (3000, before[1]))
     try:
@@ -151,3 +158,51 @@ def test_full_disk_keeps_scans_in_memory_and_then_counts_them(tmp_path):
     assert kept[4].load().shape == (0, 3)
     (finding,) = store.findings
     assert finding.rule == 'store_full' and 'points of 1 scans are left out' in finding.text
+
+
+@pytest.mark.parametrize('kind', ['spill', 'disk'])
+def test_scans_beyond_the_bound_are_in_no_memory(kind, tmp_path):
+    store = store_of(store=kind, store_folder=str(tmp_path), memory=1.0)
+    scan = np.zeros((10_000, 3), dtype=np.float32)  # 0.12 MB
+    tracemalloc.start()
+    kept = [store.put(scan.copy()) for _ in range(100)]
+    used = tracemalloc.get_traced_memory()[0]
+    tracemalloc.stop()
+    assert used < (1.1e6 if kind == 'spill' else 0.1e6)
+    assert sum(item.nbytes for item in kept) == 12e6
+    assert kept[0].load().shape == kept[99].load().shape == (10_000, 3)
+
+
+def test_default_store_is_bounded_and_needs_no_file_before_that(monkeypatch, tmp_path):
+    monkeypatch.setenv('TMPDIR', str(tmp_path / 'nowhere'))
+    monkeypatch.setattr(tempfile, 'tempdir', str(tmp_path / 'nowhere'))
+    store = store_of()
+    assert isinstance(store, SpillingStore)
+    scan = np.zeros((1_000_000, 3), dtype=np.float32)
+    few = [store.put(scan) for _ in range(20)]  # 240 MB, all the same
+    assert store.findings == ()
+    more = [store.put(scan) for _ in range(2)]
+    assert all(item.load().shape == (1_000_000, 3) for item in few + more)
+    (finding,) = store.findings  # there is no such folder: they stay in memory, and that is said
+    assert finding.rule == 'store_full'
+
+
+def test_disk_that_fills_up_is_told_of_in_time(tmp_path):
+    plenty = store_of(store='disk', store_folder=str(tmp_path))
+    few = store_of(store='disk', store_folder=str(tmp_path), reserve=1e9)
+    for store in (plenty, few):
+        assert store.findings == ()
+        store.put(np.zeros((10, 3), dtype=np.float32))
+    free = os.statvfs(tmp_path)
+    if free.f_bavail * free.f_frsize > 3e9:
+        assert plenty.findings == ()
+    (finding,) = few.findings
+    assert finding.rule == 'disk_low' and str(tmp_path) in finding.text
+
+
+def test_large_files_go_where_the_system_keeps_them_on_disk(monkeypatch, tmp_path):
+    monkeypatch.delenv('TMPDIR', raising=False)
+    assert large_files() == Path('/var/tmp')
+    monkeypatch.setenv('TMPDIR', str(tmp_path))
+    monkeypatch.setattr(tempfile, 'tempdir', None)
+    assert large_files() == tmp_path

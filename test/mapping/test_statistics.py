@@ -15,6 +15,7 @@ from incremental_mapper.mapping.statistics import Totals, map_statistics, window
 from incremental_mapper.scoring.verification import Verification
 from incremental_mapper.selection.cheapest import LeastTimeShift
 from incremental_mapper.selection.choice import Choice
+from incremental_mapper.settings import to_tree
 
 WINDOW = {40 * MS: {'left'}, 62 * MS: {'gps'}, 97 * MS: {'right'}, 140 * MS: {'left'}}
 CORE = [
@@ -88,7 +89,7 @@ def test_row_of_a_window_without_a_winner_or_a_choice():
 
 def stats_of(state, base, totals, **changes):
     known = {'drops': Counter(), 'notes': Counter(), 'late': 0, 'unused': [], 'datum': None}
-    made = map_statistics(car_settings(), state, base, totals, **{**known, **changes})
+    made = map_statistics(to_tree(car_settings()), state, base, totals, **{**known, **changes})
     return made.to_tree()
 
 

@@ -61,23 +61,6 @@ def test_all_data_files_and_nothing_else(snapshot, tmp_path):
     assert names(tmp_path) == ['map', 'map_2']
 
 
-def test_autosave_takes_the_place_of_the_one_before(snapshot, tmp_path):
-    target = Target(tmp_path / 'map_autosave', replaces=True)
-    for _ in range(2):
-        assert save_map(target, snapshot).folder == target.folder
-        (target.folder / 'stamp').touch()
-    save_map(target, snapshot)
-    assert names(tmp_path) == ['map_autosave'] and names(target.folder) == sorted(FILES)
-
-
-def test_autosave_without_room_leaves_the_one_before(snapshot, tmp_path):
-    target = Target(tmp_path / 'map_autosave', replaces=True)
-    save_map(target, snapshot)
-    with largest_file(20_000), pytest.raises(OutputError, match='cannot be written'):
-        save_map(target, snapshot)
-    assert names(tmp_path) == ['map_autosave'] and names(target.folder) == sorted(FILES)
-
-
 def test_fallback_takes_what_the_place_cannot(snapshot, tmp_path):
     (tmp_path / 'file').touch()
     target = Target(tmp_path / 'file' / 'map', tmp_path / 'else')

@@ -442,17 +442,43 @@ def test_store_that_fills_up_costs_no_map(start, tmp_path):
     assert len(saved.points) > 10_000
 
 
-def test_autosave_is_made_when_it_is_due_and_only_of_a_map(start, tmp_path):
-    run = start({'save': {'every': 0.2}})
-    run.wait(run.worker.saves.due, 'the time')
-    run.worker.look()
+def journals(folder):
+    return sorted(path.name for path in folder.glob('*.journal'))
+
+
+def test_autosave_is_a_journal_that_the_next_start_makes_a_map_of(start, tmp_path):
+    autosave = {'save': {'every': 0.2}}
+    run = start(autosave)
+    assert len(journals(tmp_path / 'saved_autosave')) == 1
     run.feed(run.measurements)
     assert run.order(Order.FLUSH)[0]
-    assert not list(tmp_path.iterdir()), 'there was nothing to save'
-    run.wait(run.worker.saves.due, 'the time')
-    run.worker.look()
-    run.wait((tmp_path / 'saved_autosave').exists, 'the autosave')
-    assert len(FinishedRun(tmp_path / 'saved_autosave').points) > 10_000
+    run.stop()
+    (name,) = journals(tmp_path / 'saved_autosave')
+    assert f'"incremental_mapper recover {tmp_path / "saved_autosave" / name}"' in troubles(run)
+    again = start(autosave)
+    again.wait(lambda: 'recovered to' in troubles(again), 'the map of before')
+    saved = FinishedRun(tmp_path / 'saved_autosave' / name.removesuffix('.journal'))
+    used = Counter(core['sensor'] for item in saved.graph['clusters'] for core in item['members'])
+    assert used == scans_and_fixes(run.measurements)
+    assert len(saved.points) > 10_000
+    assert len(journals(tmp_path / 'saved_autosave')) == 1, 'that of the map that goes on'
+    again.stop()
+    assert journals(tmp_path / 'saved_autosave') == [], 'there is nothing in it'
+
+
+def test_map_that_is_saved_or_discarded_leaves_no_journal(start, tmp_path):
+    folder = tmp_path / 'journals'
+    run = start({'journal': {'folder': str(folder)}, 'save': {'on_shutdown': str(tmp_path / 'l')}})
+    run.feed(run.measurements[: len(run.measurements) // 2])
+    assert run.order(Order.FLUSH)[0]
+    before = journals(folder)
+    assert run.order(Order.RESET)[0]
+    assert len(journals(folder)) == 1 and journals(folder) != before
+    run.feed(run.measurements)
+    run.stop()
+    assert run.worker.failures == 0 and run.worker.saves.failed == 0
+    assert (tmp_path / 'l' / 'map.ply').exists()
+    assert journals(folder) == []
 
 
 def test_nothing_mapped_at_the_end_is_a_failed_save(start, tmp_path):

@@ -1,0 +1,69 @@
+"""The folder of a run that was cut off, made from its journal."""
+
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from incremental_mapper.results.draw import draw_folder
+from incremental_mapper.results.journal.recovery import opened, recover
+from incremental_mapper.results.new_folder import write_folder
+from incremental_mapper.results.run_folder import write_result
+from incremental_mapper.results.run_statistics import RunStatistics
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecoveredRun:
+    """A folder that was made of a journal, its statistics, and remarks."""
+
+    folder: Path
+    statistics: RunStatistics
+    notes: tuple[str, ...]
+
+
+def recover_journal(
+    path: Path, out: Path | None = None, remove: bool = False, pictures: bool = True
+) -> RecoveredRun:
+    """Make the files that ``map`` and ``save_map`` write, pictures included.
+
+    ``candidates.parquet`` is not among them: what windows chose from is in no journal.
+
+    Args:
+        path: The journal.
+        out: The folder, a number is added where it exists; None is named as the journal.
+        remove: Whether the journal is removed once the folder is complete.
+        pictures: Whether pictures are drawn, where they can be.
+
+    Returns:
+        The folder, and what is told of it.
+
+    Raises:
+        InputError: It is no journal, damaged from its beginning on, empty, or in use.
+        OutputError: The folder cannot be written; nothing is left of it.
+    """
+    target = (out or path.with_suffix('')).expanduser().absolute()
+    with opened(path, alone=remove) as file:
+        found = recover(path, file)
+        unreadable: list[str] = []
+        cloud = found.result.cloud(found.config.map, unreadable)
+        statistics = RunStatistics.of_run(
+            found.result,
+            found.drops,
+            found.wall,
+            len(cloud),
+            found.facts,
+            interrupted=True,
+            findings=found.findings,
+        )
+        tree = statistics.to_tree()
+        folder = write_folder(target, lambda place: write_result(place, found.result, cloud, tree))
+        notes = list(found.notes)
+        notes += [f'the points of {len(unreadable)} scans are left out'] if unreadable else []
+        if remove and not unreadable:
+            with suppress(OSError):  # the map is what counts
+                path.unlink()
+    try:
+        remark = draw_folder(folder) if pictures else None
+    # The drawing library may raise anything, and a map is worth having without pictures.
+    except Exception as error:
+        remark = f'no pictures: {" ".join(str(error).split())}'
+    return RecoveredRun(folder, statistics, (*notes, *([remark] if remark else [])))

@@ -1,0 +1,348 @@
+"""The map of a journal: what the mapper would have given back after the last window in it."""
+
+import fcntl
+import json
+import zlib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from itertools import accumulate, pairwise
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import gtsam
+import numpy as np
+
+from incremental_mapper.blas import single_threaded_blas
+from incremental_mapper.candidates.model import Cluster, CoreKind, CoreMeasurement
+from incremental_mapper.checks.finding import Finding, Severity, ranked
+from incremental_mapper.config import Config
+from incremental_mapper.errors import ConfigError, InputError
+from incremental_mapper.graph.factors import Factor, FactorKind, describer
+from incremental_mapper.map.store import MB, Points, PointsInFile, read_points
+from incremental_mapper.mapping.final_solve import final_values
+from incremental_mapper.mapping.judgement import judge_map
+from incremental_mapper.mapping.result import MapResult, fixes_in_map, trajectory_of
+from incremental_mapper.mapping.statistics import MapStatistics
+from incremental_mapper.measurements import Drops
+from incremental_mapper.results.journal.journal_writer import (
+    BEGINNING,
+    FAILED,
+    SUFFIX,
+    WINDOW,
+)
+from incremental_mapper.results.journal.record_file import Damage, Record, content, records
+from incremental_mapper.results.run_statistics import InputFacts
+from incremental_mapper.selection.window_record import WindowRecord
+from incremental_mapper.settings import make_config
+from incremental_mapper.smoothing.graph_state import (
+    GraphState,
+    PlacedCluster,
+    PlacedFix,
+    PlacedScan,
+)
+
+Tree = Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recovered:
+    """What a journal holds.
+
+    Attributes:
+        result: The map of all its windows.
+        config: The settings of its run.
+        facts: What was mapped.
+        drops: What was lost before the mapper.
+        wall: Seconds from the first measurement to the last window.
+        findings: What was wrong with the input, and with the journal.
+        notes: Remarks on the journal.
+    """
+
+    result: MapResult
+    config: Config
+    facts: InputFacts
+    drops: Drops
+    wall: float
+    findings: tuple[Finding, ...]
+    notes: tuple[str, ...]
+
+
+def find_journals(place: Path) -> list[Path]:
+    """The journals of a folder, the oldest first.
+
+    Args:
+        place: The folder, or one journal.
+
+    Raises:
+        InputError: There is none.
+    """
+    if place.is_file():
+        return [place]
+    if not place.is_dir():
+        raise InputError(f'{place}: does not exist; expected a journal, or a folder of journals')
+    found = sorted(place.glob(f'*{SUFFIX}'))
+    if not found:
+        raise InputError(f'{place}: holds no journal, a file that ends in {SUFFIX}')
+    return found
+
+
+@contextmanager
+def opened(path: Path, alone: bool) -> Iterator[BinaryIO]:
+    """A journal, open for reading.
+
+    Args:
+        path: The file.
+        alone: Whether nobody else may write or read it meanwhile.
+
+    Raises:
+        InputError: It cannot be read, or somebody else has it.
+    """
+    try:
+        file = path.open('rb+' if alone else 'rb')
+    except OSError as error:
+        raise InputError(f'{path}: cannot be read ({error.strerror})') from error
+    with file:
+        if alone:
+            try:
+                fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError as error:
+                raise InputError(f'{path}: is in use: its map is still being made') from error
+        yield file
+
+
+def recover(path: Path, file: BinaryIO) -> Recovered:
+    """Make the map of a journal.
+
+    Args:
+        path: Its name.
+        file: The journal, which must stay open as long as points of the map are wanted.
+
+    Returns:
+        The map and what is told of it.
+
+    Raises:
+        InputError: It is no journal, cannot be read by this version, or holds no window.
+    """
+    try:
+        return _recovered(path, _read(path, file))
+    except OSError as error:
+        raise InputError(f'{path}: cannot be read ({error.strerror})') from error
+    # GTSAM says so of what another version of it has written.
+    except (KeyError, TypeError, ValueError, RuntimeError, IndexError, ConfigError) as error:
+        reason = ' '.join(str(error).split())[:200]
+        raise InputError(
+            f'{path}: cannot be read by this version of the program ({reason}); '
+            'recover it with the version that wrote it'
+        ) from error
+
+
+@dataclass(slots=True, eq=False)
+class _Reading:
+    """What is known after some records."""
+
+    begun: Tree
+    state: GraphState = field(default_factory=GraphState)
+    lag: gtsam.Values = field(default_factory=gtsam.Values)
+    rows: list[dict[str, Any]] = field(default_factory=list)
+    failed: list[WindowRecord] = field(default_factory=list)
+    findings: tuple[Finding, ...] = ()
+    last: Tree = field(default_factory=dict)
+    damage: Damage | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Points:
+    """The points of a journal; see PointFile."""
+
+    file: BinaryIO
+
+    def read(self, offset: int, size: int) -> Points:
+        return read_points(self.file.fileno(), offset, size)
+
+
+def _read(path: Path, file: BinaryIO) -> _Reading:
+    reading: _Reading | None = None
+    points = _Points(file)
+    for item in records(path, file):
+        if isinstance(item, Damage):
+            if reading is not None:
+                reading.damage = item
+        elif item.kind == BEGINNING:
+            reading = _Reading(_unpacked(file, item))
+            reading.findings = _findings(reading.begun['findings'])
+        elif reading is None:
+            break
+        elif item.kind == FAILED:
+            told, _, data = content(file, item).partition(b'\n')
+            tree = json.loads(told)
+            reading.failed.append(WindowRecord(tree['window'], tree['error'], data))
+        elif item.kind == WINDOW:
+            _take(reading, _unpacked(file, item), points)
+    if reading is None or not reading.state.clusters:
+        raise InputError(f'{path}: holds no window of a map; there is nothing to recover')
+    return reading
+
+
+def _take(reading: _Reading, tree: Tree, points: _Points) -> None:
+    """Append a window, as the mapper did."""
+    state = reading.state
+    graph, lag, final = tree['texts']
+    factors = _factors(tree['factors'], graph)
+    if (order := tree.get('order')) is not None:
+        # All of G(t) was replaced.
+        new = iter(factors)
+        state.factors = [state.factors[place] if place >= 0 else next(new) for place in order]
+        state.fixes, state.values = [], gtsam.Values()
+    else:
+        state.factors.extend(factors)
+    state.values.insert_or_assign(_values(final))
+    reading.lag = _values(lag)
+    if tree['joined'] is not None:
+        number, core, stood = tree['joined']
+        before = state.clusters[number]
+        state.clusters[number] = PlacedCluster(
+            before.id,
+            before.window,
+            before.cluster,
+            (*before.joined, *map(_core, core)),
+            (*before.stood, *stood),
+        )
+    state.clusters.extend(map(_cluster, tree['clusters']))
+    state.scans.extend(_scan(scan, points) for scan in tree['scans'])
+    state.fixes.extend(map(_fix, tree['fixes']))
+    offset = tree['enu_offset']
+    state.enu_offset = None if offset is None else np.array(offset)
+    state.georeferenced = tree['georeferenced']
+    reading.rows.append(tree['row'])
+    if 'findings' in tree:
+        reading.findings = _findings(tree['findings'])
+    reading.last = tree
+
+
+@single_threaded_blas()
+def _recovered(path: Path, reading: _Reading) -> Recovered:
+    state, begun, last = reading.state, reading.begun, reading.last
+    config = make_config(begun['settings'], str(path))
+    state.values.insert_or_assign(reading.lag)
+    values, failed = final_values(state, config)
+    statistics = {**last['statistics'], 'settings': begun['settings']}
+    statistics['solver_failures'] += int(failed)
+    clusters = tuple(state.clusters)
+    known = _findings(begun['findings'])
+    result = MapResult(
+        clusters=clusters,
+        factors=tuple(state.factors),
+        values=values,
+        trajectory=trajectory_of(clusters, values),
+        scans=tuple(state.scans),
+        fixes=fixes_in_map(state),
+        rows=tuple(reading.rows),
+        statistics=MapStatistics.from_tree(statistics),
+        findings=ranked([*reading.findings, *judge_map(state, values, config)]),
+        failed=tuple(reading.failed),
+    )
+    facts = begun['input']
+    counts = facts['counts'] or last['statistics']['received']  # of topics nobody knows before
+    note = f'recovered from {path}: {len(reading.rows)} windows'
+    found = [*known, *_damaged(path, reading.damage)]
+    if reading.damage is not None and not reading.damage.inside:
+        note += f'; {reading.damage.size} bytes of a window that was cut off are left out'
+    return Recovered(
+        result=result,
+        config=config,
+        facts=InputFacts(facts['path'], facts['kind'], counts, (*facts['notes'], note)),
+        drops=Drops({(sensor, reason): count for sensor, reason, count in last['drops']}),
+        wall=last['wall_s'],
+        findings=tuple(found),
+        notes=(note,),
+    )
+
+
+def _damaged(path: Path, damage: Damage | None) -> list[Finding]:
+    if damage is None or not damage.inside:
+        return []
+    text = (
+        f'{path.name} is damaged: the last {damage.size / MB:.3f} MB of '
+        f'{(damage.offset + damage.size) / MB:.3f} cannot be read'
+    )
+    remedy = 'the map ends there; see whether the disk is sound'
+    return [Finding('journal_damaged', Severity.WARNING, '', text, remedy)]
+
+
+def _unpacked(file: BinaryIO, record: Record) -> dict[str, Any]:
+    """The tree of a record, with its texts in place of their lengths."""
+    try:
+        text, _, rest = zlib.decompress(content(file, record)).decode('ascii').partition('\n')
+    except zlib.error as error:
+        raise ValueError(str(error)) from error
+    tree: dict[str, Any] = json.loads(text)
+    ends = list(accumulate(tree['texts'], initial=0))
+    tree['texts'] = [rest[low:high] for low, high in pairwise(ends)]
+    return tree
+
+
+def _findings(trees: list[dict[str, Any]]) -> tuple[Finding, ...]:
+    return tuple(Finding(**{**tree, 'severity': Severity(tree['severity'])}) for tree in trees)
+
+
+def _values(text: str) -> gtsam.Values:
+    values = gtsam.Values()
+    if text:
+        values.deserialize(text)
+    return values
+
+
+def _core(tree: list[Any]) -> CoreMeasurement:
+    stamp, sensor, kind = tree
+    return CoreMeasurement(stamp, sensor, CoreKind(kind))
+
+
+def _cluster(tree: Tree) -> PlacedCluster:
+    cluster = Cluster(tuple(map(_core, tree['members'])), *tree['bounds'])
+    joined = tuple(map(_core, tree['joined']))
+    return PlacedCluster(tree['id'], tree['window'], cluster, joined, tuple(tree['stood']))
+
+
+def _scan(tree: Tree, points: _Points) -> PlacedScan:
+    offset, rows, columns = tree['points']
+    turned = tree['T_cluster_scan']
+    return PlacedScan(
+        tree['cluster'],
+        tree['stamp'],
+        tree['sensor'],
+        PointsInFile(points, offset, (rows, columns)),
+        gtsam.Pose3() if turned is None else gtsam.Pose3(np.array(turned)),
+    )
+
+
+def _fix(tree: Tree) -> PlacedFix:
+    return PlacedFix(
+        tree['cluster'],
+        tree['stamp'],
+        np.array(tree['enu']),
+        np.array(tree['covariance']),
+        np.array(tree['lever_arm']),
+        tree['factor'],
+    )
+
+
+def _factors(trees: list[dict[str, Any]], text: str) -> list[Factor]:
+    """The new factors of a window, and their graph as GTSAM wrote it."""
+    graph = gtsam.NonlinearFactorGraph()
+    if text:
+        graph.deserialize(text)
+    made = []
+    for place, told in enumerate(trees):
+        kind = FactorKind(told['kind'])
+        made.append(
+            Factor(
+                kind=kind,
+                keys=tuple(told['keys']),
+                factor=graph.at(place),
+                sensor=told['sensor'],
+                stamps=tuple(told['stamps']),
+                describe=describer(kind, told['beside']),
+            )
+        )
+    return made
