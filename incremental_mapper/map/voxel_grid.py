@@ -13,6 +13,8 @@ from incremental_mapper.compiled import kernel
 
 FURTHEST = 2.0e9
 """Voxels from the corner beyond which 32 bits do not tell them apart."""
+UNMARKED = np.empty(0, dtype=np.int32)
+"""The marks of points of which nobody keeps any."""
 ROOM = 1024
 """Voxels for which a grid has room when nothing is said."""
 
@@ -30,6 +32,8 @@ class VoxelGrid:
 
     A voxel's intensity is the mean of those of its points that have one; a point without takes the
     mean so far, so that one number holds it all. It is NaN where no point has any.
+
+    A grid that is told so also keeps the mark of each voxel's first point: four bytes more.
     """
 
     def __init__(
@@ -39,6 +43,7 @@ class VoxelGrid:
         max_range: float = np.inf,
         fullest: float = np.inf,
         room: int = ROOM,
+        marked: bool = False,
     ) -> None:
         """Make an empty grid.
 
@@ -50,33 +55,45 @@ class VoxelGrid:
             fullest: points after which a voxel takes no more. Sums are single precision, so a
                 grid that points are added to for hours needs a limit.
             room: voxels that are expected; more make the grid grow.
+            marked: whether it keeps marks.
         """
         self._size = voxel_size
         self._corner = np.zeros(3) if corner is None else corner
         self._limits = (max_range * max_range, voxel_size, float(fullest))
         self._used = self._boxed = 0
         self._columns = 3
+        self._marked = marked
         self._boxes = np.empty((0, 4), dtype=np.int32)
         self._make(max(room, 1))
 
-    def add(self, points: NDArray[np.floating], transform: NDArray[np.float64]) -> None:
+    def add(
+        self,
+        points: NDArray[np.floating],
+        transform: NDArray[np.float64],
+        marks: NDArray[np.int32] = UNMARKED,
+    ) -> None:
         """Add points (N, 3), metres, that ``transform`` (4, 4), T_map_points, places.
 
         Points that are not finite are left out. Where they are (N, 4), the last column is their
         intensity, NaN for those that have none; what is taken out has four columns from then on.
+        A grid that keeps marks wants one, (N,), for each of them.
         """
         columns = np.require(points, np.float32, ('C', 'W'))  # one kind to compile for
+        if self._marked and len(marks) != len(columns):
+            raise ValueError(f'{len(marks)} marks for {len(columns)} points')
         self._columns = max(self._columns, columns.shape[1])
         wanted = self._used + len(columns)
         if wanted > len(self._cells):
-            before = self._cells[: self._used]
+            before, marked = self._cells[: self._used], self._marks[: self._used]
             self._make(max(wanted, 2 * len(self._cells)))
             self._cells[: self._used] = before
+            self._marks[: len(marked)] = marked
             _enter(before, self._table)
         sums = self._cells.view(np.float32)
         rows = transform[:3].copy()
+        cells, kept = (self._cells, sums), (marks, self._marks)
         self._used = _add(
-            columns, rows, self._corner, self._limits, self._table, self._cells, sums, self._used
+            columns, rows, self._corner, self._limits, self._table, cells, kept, self._used
         )
 
     def points(self, without: 'VoxelGrid | None' = None) -> NDArray[np.float32]:
@@ -90,6 +107,10 @@ class VoxelGrid:
             cells = cells[_absent(cells, without._table, without._cells)]
         sums = cells.view(np.float32)
         return _means(cells, sums, self._corner, self._size, self._columns)
+
+    def marks(self) -> NDArray[np.int32]:
+        """The marks (M,) of ``points``; none where the grid keeps none."""
+        return self._marks[: self._used].copy()
 
     def __len__(self) -> int:
         return self._used
@@ -148,32 +169,34 @@ class VoxelGrid:
         self._table = np.full(1 << (2 * room - 1).bit_length(), -1, dtype=np.int32)
         # A voxel's numbers lie side by side: what takes time is fetching them from memory.
         self._cells = np.empty((room, 8), dtype=np.int32)
+        self._marks = np.empty(room if self._marked else 0, dtype=np.int32)
 
 
 def mean_points(
-    placed: Iterable[tuple[NDArray[np.float32], NDArray[np.float64]]],
+    placed: Iterable[tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.int32]]],
     most: int,
     corner: NDArray[np.float64],
     voxel_size: float,
     max_range: float = np.inf,
-) -> NDArray[np.float32]:
+) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     """One mean point per voxel of points that are all at hand.
 
     Args:
-        placed: points (N, 3 or 4) and the transform (4, 4) that places them, see
-            ``VoxelGrid.add``.
+        placed: points (N, 3 or 4), the transform (4, 4) that places them, and their marks (N,),
+            see ``VoxelGrid.add``.
         most: points in all, or a few more.
         corner: where a corner of a voxel lies, (3,), metres.
         voxel_size: side of a voxel, metres.
         max_range: see ``VoxelGrid``.
 
     Returns:
-        Points (M, 3 or 4), metres, in the order of the voxels' first points.
+        Points (M, 3 or 4), metres, in the order of the voxels' first points, and the marks (M,)
+        of those.
     """
-    grid = VoxelGrid(voxel_size, corner, max_range, room=most)
-    for points, transform in placed:
-        grid.add(points, transform)
-    return grid.points()
+    grid = VoxelGrid(voxel_size, corner, max_range, room=most, marked=True)
+    for points, transform, marks in placed:
+        grid.add(points, transform, marks)
+    return grid.points(), grid.marks()
 
 
 def warm_up() -> None:
@@ -353,19 +376,21 @@ def _add(
     corner: NDArray[np.float64],
     limits: tuple[float, float, float],
     table: NDArray[np.int32],
-    cells: NDArray[np.int32],
-    sums: NDArray[np.float32],
+    kept: tuple[NDArray[np.int32], NDArray[np.float32]],
+    marked: tuple[NDArray[np.int32], NDArray[np.int32]],
     used: int,
 ) -> int:
     """Add ``points`` (N, 3 or 4) to the sums of their voxels.
 
     ``limits`` are the square of the range, the size of a voxel, and the points after which a
-    voxel takes no more. ``cells`` (M, 8) begin with the place of a voxel in the grid; ``sums``
-    (M, 8), the same memory, go on with the sum of its points' intensities, NaN as long as none has
-    any, and end with the sum of its points, from its own corner, and their number. ``table`` says
-    where a voxel stands, -1 for nowhere; ``used`` of them are taken, and how many there are
-    afterwards is returned.
+    voxel takes no more. ``kept`` are ``cells`` and ``sums``: ``cells`` (M, 8) begin with the place
+    of a voxel in the grid; ``sums`` (M, 8), the same memory, go on with the sum of its points'
+    intensities, NaN as long as none has any, and end with the sum of its points, from its own
+    corner, and their number. ``table`` says where a voxel stands, -1 for nowhere; ``used`` of them
+    are taken, and how many there are afterwards is returned. ``marked`` are the marks of the points
+    and of the voxels, both empty where nobody wants them.
     """
+    (cells, sums), (own_marks, marks) = kept, marked
     mask = np.uint64(len(table) - 1)
     t, (furthest, size, fullest) = transform, limits
     scale = 1.0 / size
@@ -390,6 +415,8 @@ def _add(
                 sums[place, 3] = np.nan
                 for k in range(4, 8):
                     sums[place, k] = 0.0
+                if len(marks) > 0:
+                    marks[place] = own_marks[i]
                 used += 1
                 break
             if cells[place, 0] == p and cells[place, 1] == q and cells[place, 2] == r:

@@ -13,7 +13,8 @@ from incremental_mapper.checks.finding import Finding
 from incremental_mapper.config import MapSettings
 from incremental_mapper.errors import OutputError
 from incremental_mapper.graph.factors import Factor
-from incremental_mapper.map.cloud import accumulate
+from incremental_mapper.map.cloud import Placed, accumulate
+from incremental_mapper.map.ply import MapCloud, ScanTable
 from incremental_mapper.mapping.statistics import MapStatistics
 from incremental_mapper.selection.choice import Tried
 from incremental_mapper.selection.window_record import WindowRecord
@@ -88,7 +89,11 @@ class MapResult:
         Raises:
             OutputError: A scan cannot be read back.
         """
-        for scan in self.scans:
+        for points, pose, _ in self._placed(unreadable):
+            yield points, pose
+
+    def _placed(self, unreadable: list[str] | None) -> Iterator[Placed]:
+        for number, scan in enumerate(self.scans):
             try:
                 points = scan.cloud
             except OutputError as error:
@@ -97,16 +102,14 @@ class MapResult:
                 unreadable.append(str(error))
                 continue
             pose = self.values.atPose3(pose_key(scan.cluster)).compose(scan.T_cluster_scan)
-            yield points, pose.matrix()
+            yield points, pose.matrix(), number
 
     @property
     def stats(self) -> dict[str, Any]:
         """``statistics`` as the keys of ``stats.json``."""
         return self.statistics.to_tree()
 
-    def cloud(
-        self, settings: MapSettings, unreadable: list[str] | None = None
-    ) -> NDArray[np.float32]:
+    def cloud(self, settings: MapSettings, unreadable: list[str] | None = None) -> MapCloud:
         """The map, thinned to one mean point a voxel.
 
         Args:
@@ -115,9 +118,21 @@ class MapResult:
 
         Returns:
             Points (N, 3) in the map, metres; (N, 4) with intensity where a LiDAR measures it, 0
-            for those that only other LiDARs saw.
+            for those that only other LiDARs saw. Each knows the scan that saw its voxel first.
         """
-        return accumulate(self.placed_scans(unreadable), settings.voxel_size, settings.max_range)
+        points, first = accumulate(
+            self._placed(unreadable), settings.voxel_size, settings.max_range
+        )
+        names = tuple(sorted({scan.sensor for scan in self.scans}))
+        scans = ScanTable(
+            stamps=np.array([scan.stamp for scan in self.scans], dtype=np.int64),
+            lidars=np.array([names.index(scan.sensor) for scan in self.scans], dtype=np.uint8),
+            windows=np.array(
+                [self.clusters[scan.cluster].window for scan in self.scans], dtype=np.int32
+            ),
+            names=names,
+        )
+        return MapCloud(points, first, scans)
 
 
 def trajectory_of(clusters: Sequence[PlacedCluster], values: gtsam.Values) -> Trajectory:

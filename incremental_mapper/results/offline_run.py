@@ -22,6 +22,7 @@ from incremental_mapper.config import Config, Tree
 from incremental_mapper.datasets.open import open_source, read_truth
 from incremental_mapper.datasets.source import Source
 from incremental_mapper.errors import InputError, OutputError
+from incremental_mapper.map.ply import MapCloud
 from incremental_mapper.mapping.load_shedding import READ_AHEAD
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.mapping.result import MapResult, WindowResult
@@ -64,14 +65,16 @@ class Drive:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Run:
-    """A mapped input: the result, the map (N, 3) in metres, and its statistics.
-
-    ``cloud`` is (N, 4), intensity last, where a LiDAR measures it; ``points`` are always (N, 3).
-    """
+    """A mapped input: the result, the map with where its points come from, and its statistics."""
 
     result: MapResult
-    cloud: NDArray[np.float32]
+    map: MapCloud
     statistics: RunStatistics
+
+    @property
+    def cloud(self) -> NDArray[np.float32]:
+        """The map (N, 3) in metres, or (N, 4), intensity last, where a LiDAR measures it."""
+        return self.map.points
 
     @property
     def points(self) -> NDArray[np.float32]:
@@ -204,7 +207,7 @@ def map_into(
 
     run = _mending(drive, attempt)
     try:
-        write_result(folder, run.result, run.cloud, run.statistics.to_tree())
+        write_result(folder, run.result, run.map, run.statistics.to_tree())
     except OutputError as error:
         kept = ' and '.join(str(journal.path) for journal in journals if journal.holds_map)
         raise OutputError(f'{error}{KEPT.format(kept) if kept else ""}') from error

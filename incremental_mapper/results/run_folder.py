@@ -11,7 +11,6 @@ import csv
 import errno
 import json
 import os
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
@@ -25,7 +24,7 @@ from numpy.typing import NDArray
 
 from incremental_mapper.errors import ConfigError, InputError, OutputError
 from incremental_mapper.finite import not_finite
-from incremental_mapper.map.cloud import write_ply
+from incremental_mapper.map.ply import MapCloud, MapFile, write_ply
 from incremental_mapper.mapping.result import MapResult
 from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.results.candidate_table import FILE_NAME, read_window
@@ -87,7 +86,7 @@ def prepare_folder(folder: Path, force: bool) -> None:
 
 
 def write_result(
-    folder: Path, result: MapResult, cloud: NDArray[np.float32], stats: Mapping[str, Any]
+    folder: Path, result: MapResult, cloud: MapCloud, stats: Mapping[str, Any]
 ) -> None:
     """Write all data files of a run; pictures are not among them.
 
@@ -98,7 +97,7 @@ def write_result(
     Args:
         folder: An existing folder.
         result: What the mapper made.
-        cloud: The map (N, 3) in metres, in the map frame, or (N, 4) with intensity.
+        cloud: The map.
         stats: The keys of ``stats.json``, see ``RunStatistics.to_tree``.
 
     Raises:
@@ -114,7 +113,7 @@ def write_result(
     for record in result.failed:
         _write(folder / record.name, partial(Path.write_bytes, data=record.data))
     _write_json(folder / STATISTICS, stats, indent=2)
-    _refuse(folder / MAP, points=cloud)
+    _refuse(folder / MAP, points=cloud.points)
     _write(folder / MAP, lambda path: write_ply(path, cloud))
 
 
@@ -169,16 +168,19 @@ class FinishedRun:
     @cached_property
     def points(self) -> NDArray[np.float64]:
         """The map (N, 3) in metres."""
-        return self._cloud[:, :3].astype(np.float64)
+        return self.map.columns(('x', 'y', 'z'), np.float64)
 
     @property
     def intensities(self) -> NDArray[np.float32] | None:
         """Intensities (N,) of ``points``; None where no LiDAR measured them."""
-        return self._cloud[:, 3] if self._cloud.shape[1] > 3 else None
+        if 'intensity' not in (self.map.dtype.names or ()):
+            return None
+        return self.map.columns(('intensity',), np.float32)[:, 0]
 
     @cached_property
-    def _cloud(self) -> NDArray[np.float32]:
-        return _read_cloud(self._path(MAP))
+    def map(self) -> MapFile:
+        """The map, whose points are read when they are asked for."""
+        return MapFile(self._path(MAP))
 
     @cached_property
     def fixes(self) -> NDArray[np.float64]:
@@ -328,17 +330,3 @@ def _write(path: Path, write: Callable[[Path], object]) -> None:
         with contextlib.suppress(OSError):
             beside.unlink()  # of no use, and it may take the room of what comes next
         raise OutputError(f'{path}: cannot be written ({error.strerror})') from error
-
-
-def _read_cloud(path: Path) -> NDArray[np.float32]:
-    """Points (N, 3 or 4) of a map that ``map`` wrote; its layout is fixed.
-
-    By hand, because plyfile's licence (GPL) is not ours, and small_gicp's reader ends the process
-    where a file is damaged.
-    """
-    head, end, body = path.read_bytes().partition(b'end_header\n')
-    count = re.search(rb'^element vertex (\d+)$', head, flags=re.MULTILINE)
-    columns = len(re.findall(rb'^property float ', head, flags=re.MULTILINE))
-    if not end or count is None or columns < 3 or len(body) != 4 * columns * int(count[1]):
-        raise InputError(f'{path}: is damaged, or is no map that "incremental_mapper map" wrote')
-    return np.frombuffer(body, dtype='<f4').reshape(-1, columns)

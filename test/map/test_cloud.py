@@ -25,6 +25,11 @@ def voxels(points, size):
     }
 
 
+def mapped(scans, size, **limits):
+    numbered = [(points, pose, number) for number, (points, pose) in enumerate(scans)]
+    return cloud.accumulate(numbered, size, **limits)[0]
+
+
 def scattered(count, spread, seed, size=0.5):
     """Points that keep clear of the borders of their voxels, whatever rounding does."""
     rng = np.random.default_rng(seed)
@@ -39,7 +44,7 @@ def test_map_has_one_point_in_every_voxel_that_was_seen(count, seed, chunk):
     pieces = [(part, np.eye(4)) for part in np.array_split(points, 7)]
     before, cloud.CHUNK = cloud.CHUNK, chunk
     try:
-        made = cloud.accumulate(pieces, 0.5)
+        made = mapped(pieces, 0.5)
     finally:
         cloud.CHUNK = before
     assert made.dtype == np.float32 and made.shape[1:] == (3,)
@@ -49,7 +54,7 @@ def test_map_has_one_point_in_every_voxel_that_was_seen(count, seed, chunk):
 
 def test_points_of_a_voxel_are_averaged():
     points = np.array([[1.1, 0.1, 0.1], [1.3, 0.3, 0.1], [5.1, 0.1, 0.1]], dtype=np.float32)
-    made = cloud.accumulate([(points, np.eye(4))], 0.5)
+    made = mapped([(points, np.eye(4))], 0.5)
     assert made[np.argsort(made[:, 0])] == pytest.approx(
         np.array([[1.2, 0.2, 0.1], [5.1, 0.1, 0.1]]), abs=1e-6
     )
@@ -58,7 +63,7 @@ def test_points_of_a_voxel_are_averaged():
 def test_scans_are_placed_by_their_poses():
     points = scattered(500, 20.0, 1)
     pose = pose_matrix([2000.0, -3000.0, 10.0, 0.0, 0.0, np.sin(0.4), np.cos(0.4)])
-    made = cloud.accumulate([(points, pose)], 0.01)
+    made = mapped([(points, pose)], 0.01)
     wanted = transform_points(pose, points.astype(np.float64))
     order = [np.lexsort(np.round(table, 2).T) for table in (made, wanted)]
     assert made[order[0]] == pytest.approx(wanted[order[1]], abs=2e-3)
@@ -71,35 +76,44 @@ def test_map_has_the_intensities_that_are_known_and_no_others(chunk, monkeypatch
     dark, bright = scattered(400, 20.0, 3), scattered(400, 20.0, 4) + np.float32([60.0, 0, 0])
     lit = np.column_stack([bright, rng.uniform(1.0, 200.0, 400).astype(np.float32)])
     scans = [(dark[:200], np.eye(4)), (lit, np.eye(4)), (dark[200:], np.eye(4))]
-    made = cloud.accumulate(scans, 0.5)
-    plain = cloud.accumulate([(points[:, :3], pose) for points, pose in scans], 0.5)
+    made = mapped(scans, 0.5)
+    plain = mapped([(points[:, :3], pose) for points, pose in scans], 0.5)
     assert made.shape[1] == 4 and np.isfinite(made).all()
     assert np.array_equal(made[:, :3], plain)
     assert ((made[:, 3] > 0.0) == (made[:, 0] > 30.0)).all()
     assert made[made[:, 3] > 0.0, 3].min() >= 1.0 and made[:, 3].max() <= 200.0
 
 
-@pytest.mark.parametrize('columns', [3, 4])
-def test_file_has_the_columns_of_the_cloud(columns, tmp_path):
-    points = np.arange(5 * columns, dtype=np.float32).reshape(5, columns)
-    cloud.write_ply(tmp_path / 'map.ply', points)
-    head, _, body = (tmp_path / 'map.ply').read_bytes().partition(b'end_header\n')
-    names = [line.split()[-1].decode() for line in head.splitlines() if b'property' in line]
-    assert names == ['x', 'y', 'z', 'intensity'][:columns]
-    assert body == points.astype('<f4').tobytes()
+@settings(deadline=None, max_examples=15)
+@given(st.integers(1, 9), st.integers(0, 10_000), st.sampled_from([60, 400, 10_000]))
+def test_a_voxel_knows_the_scan_that_saw_it_first(count, seed, chunk):
+    pieces = np.array_split(scattered(1000, 8.0, seed), count)
+    first = {}
+    for number, piece in enumerate(pieces):
+        for cell in sorted(voxels(piece, 0.5)):
+            first.setdefault(cell, 7 * number)
+    before, cloud.CHUNK = cloud.CHUNK, chunk
+    try:
+        made, marks = cloud.accumulate(
+            [(piece, np.eye(4), 7 * number) for number, piece in enumerate(pieces)], 0.5
+        )
+    finally:
+        cloud.CHUNK = before
+    cells = np.floor(made.astype(np.float64) / 0.5).astype(int)
+    assert {tuple(cell): mark for cell, mark in zip(cells, marks, strict=True)} == first
 
 
 def test_points_out_of_range_and_not_finite_are_left_out():
     points = np.array([[3.0, 4.0, 0.0], [30.0, 40.0, 0.0], [np.nan, 1.0, 1.0]], dtype=np.float32)
     far = pose_matrix([500.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
-    near = cloud.accumulate([(points, far)], 0.5, max_range=49.9)
+    near = mapped([(points, far)], 0.5, max_range=49.9)
     assert near == pytest.approx(np.array([[503.0, 4.0, 0.0]]))
-    assert len(cloud.accumulate([(points, far)], 0.5, max_range=50.1)) == 2
-    assert len(cloud.accumulate([(points, far)], 0.5)) == 2
+    assert len(mapped([(points, far)], 0.5, max_range=50.1)) == 2
+    assert len(mapped([(points, far)], 0.5)) == 2
 
 
 def test_map_without_scans_is_empty():
-    assert cloud.accumulate([], 0.2).shape == (0, 3)
+    assert mapped([], 0.2).shape == (0, 3)
 
 
 def store_of(**settings):

@@ -36,8 +36,19 @@ def test_grid_that_grows_is_the_one_that_had_room(count, seed, pieces, room):
     for piece in np.array_split(points, pieces):
         grid.add(piece, np.eye(4))
         grid.points()  # does not disturb it
-    at_once = mean_points([(points, np.eye(4))], count, np.zeros(3), SIZE)
+    marks = np.arange(count, dtype=np.int32)
+    at_once, _ = mean_points([(points, np.eye(4), marks)], count, np.zeros(3), SIZE)
     assert grid.points().tobytes() == at_once.tobytes()
+
+
+def test_grid_that_grows_keeps_the_marks_of_first_points():
+    points = scattered(2000, 5)
+    grid = VoxelGrid(SIZE, room=1, marked=True)
+    for part in np.split(np.arange(2000, dtype=np.int32), 8):
+        grid.add(points[part], np.eye(4), part)
+    firsts = np.sort(np.unique(cells(points), axis=0, return_index=True)[1])
+    assert np.array_equal(grid.marks(), firsts)
+    assert len(VoxelGrid(SIZE).marks()) == 0
 
 
 @settings(deadline=None, max_examples=30)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from incremental_mapper.errors import InputError, OutputError
-from incremental_mapper.map.cloud import write_ply
+from incremental_mapper.map.ply import MapCloud, write_ply
 from incremental_mapper.mapping.result import MapResult
 from incremental_mapper.results.run_folder import (
     EXTRA_FILES,
@@ -53,7 +53,7 @@ def test_without_force_nothing_is_touched(tmp_path):
 @pytest.mark.parametrize('columns', [3, 4])
 def test_points_and_intensities_are_read_back(columns, tmp_path):
     cloud = np.arange(6 * columns, dtype=np.float32).reshape(6, columns)
-    write_ply(tmp_path / 'map.ply', cloud)
+    write_ply(tmp_path / 'map.ply', MapCloud.bare(cloud))
     run = FinishedRun(tmp_path)
     assert np.array_equal(run.points, cloud[:, :3]) and run.points.dtype == np.float64
     if columns == 3:
@@ -74,9 +74,9 @@ def result(position):
 
 
 def test_numbers_that_are_not_finite_reach_no_file(tmp_path):
-    cloud = np.ones((5, 4), dtype=np.float32)
-    wrong = cloud.copy()
-    wrong[2, 3] = np.nan
+    points = np.ones((5, 4), dtype=np.float32)
+    cloud, wrong = MapCloud.bare(points), MapCloud.bare(points.copy())
+    wrong.points[2, 3] = np.nan
     with pytest.raises(OutputError, match=r'trajectory.tum: not written: 1 of 3 .* positions'):
         write_result(tmp_path, result([1.0, np.inf, 0.0]), cloud, {})
     assert names(tmp_path) == set()

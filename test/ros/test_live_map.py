@@ -44,14 +44,17 @@ def test_live_map_is_what_would_be_saved_of_the_same_poses(followed):
     state, settings = mapper.state, mapper.config.map
     poses = [state.pose(scan.cluster).compose(scan.T_cluster_scan) for scan in state.scans]
     final = [not state.in_lag(scan.cluster) for scan in state.scans]
-    placed = [(scan.cloud, pose.matrix()) for scan, pose in zip(state.scans, poses, strict=True)]
+    placed = [
+        (scan.cloud, pose.matrix(), number)
+        for number, (scan, pose) in enumerate(zip(state.scans, poses, strict=True))
+    ]
 
     def cells(points):
         floor = np.floor(points[:, :3] / settings.voxel_size).astype(int)
         return [tuple(cell) for cell in floor]
 
     def saved(chosen):
-        return accumulate(chosen, settings.voxel_size, settings.max_range)
+        return accumulate(chosen, settings.voxel_size, settings.max_range)[0]
 
     points = live.points()
     before = saved([item for item, done in zip(placed, final, strict=True) if done])
