@@ -51,7 +51,7 @@ $(INSTALLED): setup.py setup.cfg pyproject.toml
 		{ echo "$(PYTHON) is $$($(PYTHON) -V 2>&1), 3.11 or later is needed; name another with" \
 		'make PYTHON=python3.12' >&2; exit 1; }
 	@test -x $(BIN)/pip || $(PYTHON) -m venv --clear .venv
-	$(BIN)/python -m pip install --quiet --editable '.[ros,sim,report,test,docs]'
+	$(BIN)/python -m pip install --quiet --editable '.[ros,sim,report,formats,test,docs]'
 	@# Nobody need wait for the compiler later.
 	$(BIN)/python -c 'from incremental_mapper import Config, Mapper; Mapper(Config()).close()'
 	@touch $@

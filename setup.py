@@ -13,6 +13,7 @@ SETTINGS = sorted(str(path) for path in Path('config').iterdir())
 
 SIMULATION = ['embreex>=2.17.7.post4']
 REPORT = ['jinja2>=3.1', 'matplotlib>=3.8', 'pyarrow>=14']
+FORMATS = ['gpxpy>=1.6', 'laspy[lazrs]>=2.5', 'pyproj>=3.6']
 CLUSTER = ['distributed>=2024.1']
 # GTSAM's wheel needs pytest 9, and Jazzy's launch_testing plugin does not load on 9.1 or later.
 TESTS = [
@@ -22,9 +23,12 @@ TESTS = [
     'hypothesis>=6.100',
     'evo>=1.31',
     'import-linter>=2.1',
+    'jsonschema>=4.18',
     'mypy>=1.10',
     'playwright>=1.40',
+    'pypcd4>=1.1',
     'ruff>=0.5',
+    'trimesh>=4.0',
     'types-PyYAML',
     'types-tqdm',
     *CLUSTER,
@@ -49,7 +53,10 @@ setup(
     license_files=['LICENSE'],
     python_requires='>=3.11',
     packages=find_packages(exclude=['test', 'test.*']),
-    package_data={f'{NAME}.evaluation.report': ['page.html', 'style.css']},
+    package_data={
+        f'{NAME}.evaluation.report': ['page.html', 'style.css'],
+        f'{NAME}.exports': ['graph.schema.json'],
+    },
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
@@ -75,6 +82,7 @@ setup(
         'ros': ROS,
         'sim': SIMULATION,
         'report': REPORT,
+        'formats': FORMATS,
         'cluster': CLUSTER,
         'test': TESTS,
         'docs': PAGES,

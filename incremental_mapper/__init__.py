@@ -23,6 +23,9 @@ if TYPE_CHECKING:
         MeasurementError,
         OutputError,
     )
+    from incremental_mapper.exports.exported_run import ExportedRun, place_of
+    from incremental_mapper.exports.formats import Content, Format
+    from incremental_mapper.exports.place import Place
     from incremental_mapper.mapping.load_shedding import LoadShedding
     from incremental_mapper.mapping.mapper import Mapper
     from incremental_mapper.mapping.newest_state import NewestState
@@ -56,6 +59,9 @@ _ROOMS = {
     'datasets.open': ('open_source',),
     'datasets.source': ('Source',),
     'errors': ('ConfigError', 'InputError', 'MapperError', 'MeasurementError', 'OutputError'),
+    'exports.exported_run': ('ExportedRun', 'place_of'),
+    'exports.formats': ('Content', 'Format'),
+    'exports.place': ('Place',),
     'mapping.load_shedding': ('LoadShedding',),
     'mapping.mapper': ('Mapper',),
     'mapping.newest_state': ('NewestState',),
@@ -90,10 +96,13 @@ __all__ = [
     'Config',
     'ConfigError',
     'Connection',
+    'Content',
     'CoreMeasurement',
     'Criterion',
+    'ExportedRun',
     'FinishedRun',
     'FixStatus',
+    'Format',
     'GnssFix',
     'ImuSample',
     'InputError',
@@ -106,6 +115,7 @@ __all__ = [
     'MeasurementError',
     'NewestState',
     'OutputError',
+    'Place',
     'Proposal',
     'Run',
     'Source',
@@ -125,6 +135,7 @@ __all__ = [
     'map_drive',
     'map_source',
     'open_source',
+    'place_of',
     'read_tum',
     'reselect_window',
     'strategy_names',

@@ -351,6 +351,8 @@ class MapSettings(Section):
     """Voxel size of the map in metres."""
     max_range: float = Field(default=60.0, gt=0.0, le=1000.0)
     """Points further from the sensor than this many metres do not enter the map."""
+    formats: tuple[str, ...] = ()
+    """Formats that a run is saved in besides its own files, such as [laz, gpx]; see ``export``."""
     publish_period: float = Field(default=2.0, ge=0.05, le=3600.0)
     """Node: shortest time between two publications of the map, in seconds."""
     display_points: int = Field(default=1_000_000, ge=0)

@@ -31,6 +31,7 @@ from incremental_mapper.cli.main import COMMANDS, make_parser
 from incremental_mapper.config import Config, LidarSensor, Section
 from incremental_mapper.datasets.bags import SETTINGS_FILE
 from incremental_mapper.errors import ConfigError
+from incremental_mapper.exports.formats import GROUP as FORMATS
 from incremental_mapper.selection.strategies import GROUP, labelled, strategy_names
 from incremental_mapper.settings import make_config, read_yaml
 
@@ -313,7 +314,11 @@ def check_toml(code: str) -> list[str]:
     except tomllib.TOMLDecodeError as error:
         return [f'no TOML: {error}']
     groups = tree.get('project', {}).get('entry-points', {})
-    return [f'the package asks for no entry points {name!r}' for name in groups if name != GROUP]
+    return [
+        f'the package asks for no entry points {name!r}'
+        for name in groups
+        if name not in (GROUP, FORMATS)
+    ]
 
 
 def check_python(code: str) -> list[str]:

@@ -177,7 +177,7 @@ def _kind(info: FieldInfo) -> str:
     if isinstance(kind, type) and issubclass(kind, StrEnum):
         return 'one of ' + ', '.join(f'`{item.value}`' for item in kind)
     names = {float: 'number', int: 'whole number', bool: 'true or false', str: 'text'}
-    return names.get(kind, '7 or 12 numbers')
+    return names.get(kind, 'names' if kind == tuple[str, ...] else '7 or 12 numbers')
 
 
 def _default(info: FieldInfo) -> str:

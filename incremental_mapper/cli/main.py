@@ -20,6 +20,7 @@ COMMANDS = {
     'evaluate': ('evaluate', 'map drives with every strategy and compare'),
     'play': ('play', 'play a bag into ROS topics'),
     'plot': ('plot', 'draw one picture of a finished run'),
+    'export': ('export', 'write a finished run in the formats of other programs'),
     'inspect': ('inspect_window', 'show what a window of a finished run chose from, and why'),
 }
 """Modules of the commands, and what the program's help says of them."""

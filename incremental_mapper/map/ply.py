@@ -79,11 +79,12 @@ class MapCloud:
         ]
         return np.dtype(columns + list(SOURCE_FIELDS if self.scans is not None else ()))
 
-    def records(self, size: int = CHUNK) -> Iterator[Records]:
-        """The points with all that is known of them, ``size`` at a time.
+    def records(self, size: int | None = None) -> Iterator[Records]:
+        """The points with all that is known of them, ``size`` (``CHUNK``) at a time.
 
         ``time`` is the stamp of a scan in seconds: a double tells moments 0.2 µs apart.
         """
+        size = size or CHUNK
         for start in range(0, len(self), size):
             part = self.points[start : start + size]
             records: Records = np.empty(len(part), dtype=self.dtype)
@@ -155,8 +156,9 @@ class MapFile:
         """Names of the LiDARs, in the order of their numbers."""
         return self._head[3]
 
-    def records(self, size: int = CHUNK) -> Iterator[Records]:
-        """The points with all their columns, ``size`` at a time."""
+    def records(self, size: int | None = None) -> Iterator[Records]:
+        """The points with all their columns, ``size`` (``CHUNK``) at a time."""
+        size = size or CHUNK
         start, count, dtype, _ = self._head
         with self.path.open('rb') as file:
             file.seek(start)

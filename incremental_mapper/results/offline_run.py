@@ -22,6 +22,7 @@ from incremental_mapper.config import Config, Tree
 from incremental_mapper.datasets.open import open_source, read_truth
 from incremental_mapper.datasets.source import Source
 from incremental_mapper.errors import InputError, OutputError
+from incremental_mapper.exports.formats import check_formats
 from incremental_mapper.map.ply import MapCloud
 from incremental_mapper.mapping.load_shedding import READ_AHEAD
 from incremental_mapper.mapping.mapper import Mapper
@@ -190,11 +191,13 @@ def map_into(
         The run, and remarks on files that could not be made, one line each.
 
     Raises:
+        ConfigError: A format of ``map.formats`` cannot be written here.
         InputError: Nothing of the input could be used.
         OutputError: A file cannot be written.
         KeyboardInterrupt: It was stopped before anything was mapped.
     """
     journals: list[Journal] = []
+    check_formats(drive.config.map.formats)
 
     def attempt(drive: Drive, may_mend: bool) -> Run:
         with (

@@ -22,7 +22,8 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from incremental_mapper.errors import ConfigError, InputError, OutputError
+from incremental_mapper.errors import ConfigError, InputError, MapperError, OutputError
+from incremental_mapper.exports.formats import export, formats, named
 from incremental_mapper.finite import not_finite
 from incremental_mapper.map.ply import MapCloud, MapFile, write_ply
 from incremental_mapper.mapping.result import MapResult
@@ -76,7 +77,8 @@ def prepare_folder(folder: Path, force: bool) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         # Names that others use as well go only where a run has been.
         if (folder / STATISTICS).is_file() and (folder / GRAPH).is_file():
-            for name in (*FILES, *EXTRA_FILES):
+            exported = [form.file_name for form in formats().values()]
+            for name in dict.fromkeys((*FILES, *EXTRA_FILES, *exported)):
                 (folder / name).unlink(missing_ok=True)
                 (folder / f'.{name}.partial').unlink(missing_ok=True)
             for path in folder.glob(WINDOW_FILE.format('[0-9]*')):
@@ -92,7 +94,7 @@ def write_result(
 
     Every file is written beside its name first and then renamed, so that an interrupted run
     leaves no torn file. Trajectory and graph come first; the points, which are most of the
-    bytes, come last.
+    bytes, come after them, and the formats of ``map.formats`` last.
 
     Args:
         folder: An existing folder.
@@ -115,6 +117,7 @@ def write_result(
     _write_json(folder / STATISTICS, stats, indent=2)
     _refuse(folder / MAP, points=cloud.points)
     _write(folder / MAP, lambda path: write_ply(path, cloud))
+    _write_formats(folder, stats)
 
 
 def draw_result(
@@ -278,6 +281,21 @@ class FinishedRun:
             what = 'no such folder' if not self.folder.is_dir() else f'{name} is missing'
             raise InputError(f'{self.folder}: is no output of "incremental_mapper map" ({what})')
         return path
+
+
+def _write_formats(folder: Path, stats: Mapping[str, Any]) -> None:
+    """Write what the settings want besides; what fails is told once the others are written."""
+    wanted = stats.get('settings', {}).get('map', {}).get('formats', ())
+    troubles = []
+    for name in wanted:
+        try:
+            form = named(name, 'map.formats')
+            if form.file_name not in FILES:
+                export(FinishedRun(folder), form, folder / form.file_name)
+        except MapperError as error:
+            troubles.append(str(error))
+    if troubles:
+        raise OutputError('; '.join(troubles))
 
 
 def _write_g2o(path: Path, result: MapResult) -> None:

@@ -18,6 +18,7 @@ from rclpy.parameter import Parameter
 
 from incremental_mapper.config import Config, LidarSensor, Tree
 from incremental_mapper.errors import ConfigError
+from incremental_mapper.exports.formats import check_formats
 from incremental_mapper.settings import make_config, merge, to_tree
 
 CHANGEABLE = (
@@ -106,6 +107,7 @@ def _config(given: Mapping[str, Any]) -> Config:
     if not tree.get('lidars'):
         tree['lidars'] = {'names': list(DEFAULT_LIDARS)}
     config = make_config(tree, 'parameters')
+    check_formats(config.map.formats)
     if not config.lidars:
         raise ConfigError('parameters: lidars.names is empty; name at least one LiDAR')
     clash = {'imu', 'gnss'} & config.lidars.keys()
