@@ -45,10 +45,13 @@ def maker(run: ExportedRun) -> str:
 
 
 def place_of(run: ExportedRun) -> Place | None:
-    """Where the map lies on Earth; None where it is not georeferenced.
+    """Where the map lies on Earth.
 
     Args:
         run: Any run.
+
+    Returns:
+        The place; None where the map is not georeferenced.
     """
     datum = run.stats.get('datum')
     if not run.stats.get('georeferenced') or not datum:

@@ -71,9 +71,12 @@ class Place:
             crs: What the user names, such as EPSG:25832 or EPSG:32652+5773; None takes the UTM
                 zone of the place. Without a vertical part heights are ellipsoidal.
 
+        Returns:
+            The system.
+
         Raises:
-            ConfigError: There is no such system, it is not one in metres or feet, or PROJ lacks a
-                grid for it.
+            ConfigError: There is no such system, it is one of another part of the Earth or in
+                degrees, or PROJ lacks a grid for it.
         """
         import pyproj
 
