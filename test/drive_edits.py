@@ -6,7 +6,15 @@ from incremental_mapper.datasets.truth import read_truth
 from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.trajectory import match_truth
 
-FILES = {'trajectory.tum', 'map.ply', 'graph.g2o', 'graph.json', 'windows.csv', 'stats.json'}
+FILES = {
+    'trajectory.tum',
+    'map.ply',
+    'graph.g2o',
+    'graph.json',
+    'windows.csv',
+    'stats.json',
+    'files.json',
+}
 STATE, LATITUDE, LONGITUDE = 6, 1, 2
 
 

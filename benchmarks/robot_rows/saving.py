@@ -204,7 +204,7 @@ def disk_full(folder: Path) -> Seen:
     there = sorted(path.name for path in part.iterdir()) if part.is_dir() else []
     graph = FinishedRun(part).graph if there else {}
     same = graph == FinishedRun(folder / 'saved').graph
-    points = {'map.ply'}
+    points = {'map.ply', 'files.json'}
     right = set(FILES) - points <= set(there) and not points & set(there)
     ok = success and status == 1 and right and same
     return Seen(

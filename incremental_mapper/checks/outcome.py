@@ -1,6 +1,6 @@
 """What became of a map as a whole: what holds it together, and what of it is missing."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from incremental_mapper.checks.finding import Finding, Severity
@@ -180,3 +180,16 @@ def _unmatched(outcome: Outcome) -> list[Finding]:
             )
         )
     return found
+
+
+def unreadable_findings(reasons: Sequence[str]) -> list[Finding]:
+    """Say that points of a map are missing because they cannot be read back.
+
+    Args:
+        reasons: Why, for each scan.
+    """
+    if not reasons:
+        return []
+    text = f'the points of {len(reasons)} scans are left out: {reasons[0]}'
+    remedy = 'look at the disk of map.store_folder, or of the journal'
+    return [Finding('scans_unreadable', Severity.ERROR, '', text, remedy)]

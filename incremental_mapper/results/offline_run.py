@@ -29,7 +29,12 @@ from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.mapping.result import MapResult, WindowResult
 from incremental_mapper.results.candidate_table import FILE_NAME, candidate_recorder
 from incremental_mapper.results.journal.journal_writer import Journal
-from incremental_mapper.results.run_folder import draw_result, prepare_folder, write_result
+from incremental_mapper.results.run_folder import (
+    draw_result,
+    is_whole,
+    prepare_folder,
+    write_result,
+)
 from incremental_mapper.results.run_statistics import InputFacts, RunStatistics
 from incremental_mapper.results.survey import BRIEF, survey
 from incremental_mapper.results.trajectory_errors import trajectory_errors
@@ -212,6 +217,9 @@ def map_into(
     try:
         write_result(folder, run.result, run.map, run.statistics.to_tree())
     except OutputError as error:
+        if is_whole(folder):
+            for journal in journals:
+                journal.remove()
         kept = ' and '.join(str(journal.path) for journal in journals if journal.holds_map)
         raise OutputError(f'{error}{KEPT.format(kept) if kept else ""}') from error
     for journal in journals:

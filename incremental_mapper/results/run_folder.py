@@ -1,7 +1,8 @@
 """The folder of a run: the files that are in it, writing them, and reading them back.
 
 ``trajectory.tum``, ``map.ply``, ``graph.g2o``, ``graph.json`` (see ``graph_json``),
-``windows.csv`` and ``stats.json`` (see ``run_statistics``) are always there; pictures and
+``windows.csv``, ``stats.json`` (see ``run_statistics``) and ``files.json`` (see ``manifest``), by
+which one knows whether the others are whole, are always there; pictures and
 ``candidates.parquet`` (see ``candidate_table``) where their libraries are installed, and
 ``failed_window_N.npz`` (see ``window_record``) where a window failed.
 """
@@ -10,6 +11,7 @@ import contextlib
 import csv
 import errno
 import json
+import logging
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -30,17 +32,21 @@ from incremental_mapper.mapping.result import MapResult
 from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.results.candidate_table import FILE_NAME, read_window
 from incremental_mapper.results.graph_json import graph_tree
+from incremental_mapper.results.manifest import FILE as MANIFEST
+from incremental_mapper.results.manifest import FORMAT, Manifest
 from incremental_mapper.selection.window_record import FILE as WINDOW_FILE
 from incremental_mapper.trajectory import Trajectory, read_tum, write_tum
 from incremental_mapper.variables import cluster_of, pose_key
 from incremental_mapper.visualization.graph_view import GRAPH_SECONDS, typical_stretch
 from incremental_mapper.visualization.run_pictures import draw_run
 
+LOGGER = logging.getLogger('incremental_mapper')
 Record: TypeAlias = Mapping[str, Any]
 
 TRAJECTORY, MAP, WINDOWS = 'trajectory.tum', 'map.ply', 'windows.csv'
 GRAPH, GRAPH_G2O, STATISTICS = 'graph.json', 'graph.g2o', 'stats.json'
-FILES = (TRAJECTORY, MAP, GRAPH_G2O, GRAPH, WINDOWS, STATISTICS)
+DATA = (TRAJECTORY, MAP, GRAPH_G2O, GRAPH, WINDOWS, STATISTICS)
+FILES = (*DATA, MANIFEST)
 EXTRA_FILES = (
     FILE_NAME,
     'trajectory.png',
@@ -94,7 +100,8 @@ def write_result(
 
     Every file is written beside its name first and then renamed, so that an interrupted run
     leaves no torn file. Trajectory and graph come first; the points, which are most of the
-    bytes, come after them, and the formats of ``map.formats`` last.
+    bytes, come after them, then the checksums of all these (``is_whole``), and the formats of
+    ``map.formats`` last.
 
     Args:
         folder: An existing folder.
@@ -117,7 +124,19 @@ def write_result(
     _write_json(folder / STATISTICS, stats, indent=2)
     _refuse(folder / MAP, points=cloud.points)
     _write(folder / MAP, lambda path: write_ply(path, cloud))
+    names = [*DATA, *(record.name for record in result.failed)]
+    names += [FILE_NAME] if (folder / FILE_NAME).is_file() else []
+    _write(folder / MANIFEST, lambda path: _write_manifest(path, folder, names))
     _write_formats(folder, stats)
+
+
+def is_whole(folder: Path) -> bool:
+    """Whether all data files of a run are written, whatever came of the formats besides.
+
+    Args:
+        folder: The folder that ``write_result`` was given.
+    """
+    return (folder / MANIFEST).is_file()
 
 
 def draw_result(
@@ -138,7 +157,8 @@ def draw_result(
 class FinishedRun:
     """The folder of a run that has ended; its files are read when they are asked for.
 
-    Every attribute raises InputError where its file is missing or is not what ``map`` writes.
+    Every attribute raises InputError where its file is missing or is not what ``map`` writes. One
+    that has changed since it was written is used all the same, and the log says so.
     """
 
     folder: Path
@@ -280,7 +300,39 @@ class FinishedRun:
         if not path.is_file():
             what = 'no such folder' if not self.folder.is_dir() else f'{name} is missing'
             raise InputError(f'{self.folder}: is no output of "incremental_mapper map" ({what})')
+        if name not in self._looked_at:
+            self._looked_at.add(name)
+            self._look_at(name)
         return path
+
+    @cached_property
+    def _looked_at(self) -> set[str]:
+        return set()
+
+    @cached_property
+    def _manifest(self) -> Manifest | None:
+        try:
+            manifest = Manifest.read(self.folder)
+        except InputError as error:
+            LOGGER.warning('%s', error)
+            return None
+        if manifest is not None and manifest.format != FORMAT:
+            LOGGER.warning(
+                '%s: has format %d, this version reads %d: it may be misunderstood',
+                self.folder,
+                manifest.format,
+                FORMAT,
+            )
+        return manifest
+
+    def _look_at(self, name: str) -> None:
+        """Say where a file is not as it was written."""
+        if self._manifest is not None and not self._manifest.sound(self.folder, name):
+            LOGGER.warning(
+                '%s: damaged or changed since it was written (its checksum is not that of %s)',
+                self.folder / name,
+                MANIFEST,
+            )
 
 
 def _write_formats(folder: Path, stats: Mapping[str, Any]) -> None:
@@ -313,6 +365,10 @@ def _write_g2o(path: Path, result: MapResult) -> None:
         lines = sum(block.count(b'\n') for block in iter(partial(file.read, 1 << 20), b''))
     if lines != poses.size() + graph.size():
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def _write_manifest(path: Path, folder: Path, names: Sequence[str]) -> None:
+    path.write_text(Manifest.of(folder, names).to_text(), encoding='utf-8')
 
 
 def _write_json(path: Path, tree: Mapping[str, Any], indent: int | None = None) -> None:

@@ -9,7 +9,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from incremental_mapper.checks.finding import Finding, Severity
+from incremental_mapper.checks.finding import Finding
+from incremental_mapper.checks.outcome import unreadable_findings
 from incremental_mapper.errors import OutputError
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.measurements import Drops
@@ -114,7 +115,7 @@ def save_map(target: Target, snapshot: Snapshot) -> Saved:
         raise OutputError(EMPTY)
     unreadable: list[str] = []
     cloud = result.cloud(snapshot.mapper.config.map, unreadable)
-    lost = _unreadable_finding(unreadable)
+    lost = unreadable_findings(unreadable)
     findings = [*snapshot.findings, *lost]
     statistics = RunStatistics.of_run(
         result, snapshot.drops, snapshot.wall, len(cloud), snapshot.facts, findings=findings
@@ -143,14 +144,6 @@ def write_candidates(folder: Path, spool: CandidateSpool) -> str | None:
     except (OutputError, OSError) as error:
         return f'no {FILE_NAME}: {error}'
     return f'{FILE_NAME} ends early: {spool.trouble}' if spool.trouble else None
-
-
-def _unreadable_finding(reasons: list[str]) -> list[Finding]:
-    if not reasons:
-        return []
-    text = f'the points of {len(reasons)} scans are left out: {reasons[0]}'
-    remedy = 'look at the disk of map.store_folder'
-    return [Finding('scans_unreadable', Severity.ERROR, '', text, remedy)]
 
 
 def _put(folder: Path, target: Target, write: Callable[[Path], None]) -> tuple[Path, str]:

@@ -4,10 +4,12 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from incremental_mapper.checks.outcome import unreadable_findings
+from incremental_mapper.errors import OutputError
 from incremental_mapper.results.draw import draw_folder
 from incremental_mapper.results.journal.recovery import opened, recover
 from incremental_mapper.results.new_folder import write_folder
-from incremental_mapper.results.run_folder import write_result
+from incremental_mapper.results.run_folder import is_whole, write_result
 from incremental_mapper.results.run_statistics import RunStatistics
 
 
@@ -52,12 +54,20 @@ def recover_journal(
             len(cloud),
             found.facts,
             interrupted=True,
-            findings=found.findings,
+            findings=(*found.findings, *unreadable_findings(unreadable)),
         )
         tree = statistics.to_tree()
-        folder = write_folder(target, lambda place: write_result(place, found.result, cloud, tree))
         notes = list(found.notes)
-        notes += [f'the points of {len(unreadable)} scans are left out'] if unreadable else []
+
+        def write(place: Path) -> None:
+            try:
+                write_result(place, found.result, cloud, tree)
+            except OutputError as error:
+                if not is_whole(place):
+                    raise
+                notes.append(str(error).replace(str(place), str(target)))
+
+        folder = write_folder(target, write)
         if remove and not unreadable:
             with suppress(OSError):  # the map is what counts
                 path.unlink()

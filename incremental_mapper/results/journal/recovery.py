@@ -32,6 +32,8 @@ from incremental_mapper.results.journal.journal_writer import (
     WINDOW,
 )
 from incremental_mapper.results.journal.record_file import Damage, Record, content, records
+from incremental_mapper.results.manifest import require_whole
+from incremental_mapper.results.run_folder import STATISTICS
 from incremental_mapper.results.run_statistics import InputFacts
 from incremental_mapper.selection.window_record import WindowRecord
 from incremental_mapper.settings import make_config
@@ -75,12 +77,15 @@ def find_journals(place: Path) -> list[Path]:
         place: The folder, or one journal.
 
     Raises:
-        InputError: There is none.
+        InputError: There is none; of the folder of a run, what is wrong with it.
     """
     if place.is_file():
         return [place]
     if not place.is_dir():
         raise InputError(f'{place}: does not exist; expected a journal, or a folder of journals')
+    if (place / STATISTICS).is_file():
+        require_whole(place)
+        raise InputError(f'{place}: is the folder of a finished run, and whole')
     found = sorted(place.glob(f'*{SUFFIX}'))
     if not found:
         raise InputError(f'{place}: holds no journal, a file that ends in {SUFFIX}')
