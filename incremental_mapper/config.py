@@ -345,8 +345,8 @@ class MapSettings(Section):
     """Folder of that file; empty takes TMPDIR where that is set, else /var/tmp, since /tmp is often
     held in memory."""
     reserve: float = Field(default=2000.0, ge=0.0, le=1e9, allow_inf_nan=False)
-    """Free MB of the disk that scans or a journal are written to, below which a user is told
-    (``disk_low``): at KAIST rates a quarter of an hour before it is full."""
+    """MB of the disk, of scans or a journal, that are free when a user is told (``disk_low``): at
+    KAIST rates a quarter of an hour before it is full."""
     voxel_size: float = Field(default=0.2, gt=0.0, le=10.0)
     """Voxel size of the map in metres."""
     max_range: float = Field(default=60.0, gt=0.0, le=1000.0)
@@ -458,7 +458,7 @@ class JournalSettings(Section):
     """Seconds between two flushes to the disk: what a power cut may cost. A program that is killed
     loses no more than a window, whatever this is."""
     reserve: float = Field(default=500.0, ge=0.0, le=1e9, allow_inf_nan=False)
-    """Free MB of the disk below which the journal ends, so that there is room to save the map."""
+    """MB of the disk that are free when the journal ends, so that the map has room to be saved."""
     recover: bool = True
     """Node: at the start, make maps of the journals that are left over in the folder, beside
     the mapping, and remove them."""

@@ -49,6 +49,7 @@ SENSORS = """A sensor has these three, wherever it stands: `lidars.NAME`, `imu`,
 `T_base_sensor`: they map a point from the sensor's frame to `base_link` (x forward, y left, z up).
 """
 UNITS = (
+    (r'\bMB of (?:scans|the disk)', 'MB'),
     (r'm/s\^3/sqrt\(Hz\)', 'm/s³/√Hz'),
     (r'rad/s\^2/sqrt\(Hz\)', 'rad/s²/√Hz'),
     (r'm/s\^2/sqrt\(Hz\)', 'm/s²/√Hz'),

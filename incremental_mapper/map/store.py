@@ -33,6 +33,10 @@ class StoredPoints(Protocol):
     def nbytes(self) -> int:
         """Bytes that the points take, wherever they are."""
 
+    @property
+    def memory(self) -> int:
+        """Bytes of them that are in memory."""
+
     def load(self) -> Points:
         """The points; raises OutputError where they can no longer be read."""
 
@@ -68,6 +72,11 @@ class PointsInFile:
         """See StoredPoints."""
         return 4 * self.shape[0] * self.shape[1]
 
+    @property
+    def memory(self) -> int:
+        """See StoredPoints."""
+        return 0
+
     def load(self) -> Points:
         """See StoredPoints."""
         return self.file.read(self.offset, self.nbytes).reshape(self.shape)
@@ -79,6 +88,10 @@ class _InMemory:
 
     @property
     def nbytes(self) -> int:
+        return self.points.nbytes
+
+    @property
+    def memory(self) -> int:
         return self.points.nbytes
 
     def load(self) -> Points:

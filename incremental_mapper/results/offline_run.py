@@ -43,6 +43,8 @@ from incremental_mapper.trajectory import Trajectory
 from incremental_mapper.visualization.extras import left_out
 
 KEPT = '; the map is in its journal: "incremental_mapper recover {}" makes its files'
+UNRELATED = {'selection', 'save', 'journal'}
+"""Sections of settings that say nothing of the sensors: with these alone a look still chooses."""
 MOST_MENDS = 3
 """How often a run begins anew with settings that its data proved right."""
 
@@ -138,7 +140,7 @@ def open_drive(path: Path, tree: Tree, where: str, truth: Path | None = None) ->
     config = effective_config(source, tree, where)
     known = source.truth() if truth is None else read_truth(truth)
     drive = Drive(source, config, known, tree, where)
-    return drive if tree.keys() - {'selection'} else _looked_at(drive)
+    return drive if tree.keys() - UNRELATED else _looked_at(drive)
 
 
 def _looked_at(drive: Drive) -> Drive:

@@ -173,6 +173,7 @@ class Health:
         row = {} if self._last is None else self._last.result.row
         stats = self._stats()
         overloaded = shedding != NO_SHEDDING
+        journal, missing = self._worker.journal_figures
         values = {
             'queue_core': core,
             'queue_imu': imu,
@@ -190,6 +191,9 @@ class Health:
             'time_jumps': self._worker.jumps.jumps,
             'mapper_failures': self._worker.failures,
             'scans_mb': round(self._worker.scan_bytes / MB, 2),
+            'scans_on_disk_mb': round(self._worker.disk_bytes / MB, 2),
+            'journal_mb': round(journal / MB, 2),
+            'journal_missing_windows': missing,
             'voxels_mb': round(self._worker.cloud_bytes / MB, 2),
             'peak_rss_mb': stats.get('peak_rss_mb', 0.0),
         }

@@ -42,7 +42,8 @@ class MapSession:
 
     ``limited_windows`` counts the windows for which fewer candidates were tried because
     measurements came too fast; ``scan_bytes`` and ``cloud_bytes`` are what this map's scans and
-    its voxels take. Any thread may read these. Whatever the libraries below raise is let through.
+    its voxels take of the memory, ``disk_bytes`` what scans take of a disk. Any thread may read
+    these. Whatever the libraries below raise is let through.
     """
 
     def __init__(
@@ -59,7 +60,7 @@ class MapSession:
             outside: Tells what was lost before the mapper.
         """
         self._mended, self._outside = tuple(mended), outside
-        self.limited_windows = self.scan_bytes = self.cloud_bytes = 0
+        self.limited_windows = self.scan_bytes = self.cloud_bytes = self.disk_bytes = 0
         gc.collect()  # a map before this one is large, and may wait in cycles of references
         self.journal = _journal(config, self._mended)
         sensors = [*config.lidars, IMU, GNSS]
@@ -207,7 +208,9 @@ class MapSession:
             'peak_rss_mb': peak_rss_mb(),
         }
         scans = self._new_scans()
-        self.scan_bytes += sum(scan.stored.nbytes for scan in scans)
+        memory = sum(scan.stored.memory for scan in scans)
+        self.scan_bytes += memory
+        self.disk_bytes += sum(scan.stored.nbytes for scan in scans) - memory
         self.cloud_bytes = self._live.nbytes
         points = self._live.placed(scans)
         findings = ranked([*self._mended, *self._mapper.findings])

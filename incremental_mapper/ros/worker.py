@@ -121,9 +121,21 @@ class Worker:
 
     @property
     def scan_bytes(self) -> int:
-        """What this map's scans take."""
+        """What this map's scans take of the memory."""
         session = self._session
         return 0 if session is None else session.scan_bytes
+
+    @property
+    def disk_bytes(self) -> int:
+        """What this map's scans take of a disk."""
+        session = self._session
+        return 0 if session is None else session.disk_bytes
+
+    @property
+    def journal_figures(self) -> tuple[int, int]:
+        """Bytes of this map's journal, and windows that are not in it."""
+        journal = None if self._session is None else self._session.journal
+        return (0, 0) if journal is None else (journal.nbytes, journal.missing)
 
     @property
     def cloud_bytes(self) -> int:
