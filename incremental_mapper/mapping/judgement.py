@@ -237,6 +237,11 @@ def _newest() -> deque[Match]:
     return deque(maxlen=NEWEST)
 
 
+def _few_clouds() -> deque[NDArray[np.float32]]:
+    # A LiDAR that falls silent early never has enough of them; the others' must not pile up.
+    return deque(maxlen=CLOUDS)
+
+
 @dataclass(slots=True)
 class FitWatch:
     """Judges the newest stretch of a growing map every ``PERIOD``, and counts what is in it."""
@@ -248,7 +253,7 @@ class FitWatch:
     _matched: int = 0
     _enough: int = 0
     _driven: list[Finding] = field(default_factory=list)
-    _clouds: dict[str, list[NDArray[np.float32]]] = field(default_factory=dict)
+    _clouds: dict[str, deque[NDArray[np.float32]]] = field(default_factory=dict)
     _before: int = 0
     _looked: int = 0
     _looks: int = 0
@@ -349,11 +354,11 @@ class FitWatch:
         if self._looks >= GROUND_LOOKS:
             return []
         for sensor, scan in {scan.sensor: scan for scan, _ in state.recent}.items():
-            self._clouds.setdefault(sensor, []).append(scan.points)
+            self._clouds.setdefault(sensor, _few_clouds()).append(scan.points)
         if any(len(clouds) < CLOUDS for clouds in self._clouds.values()):
             return []
         looks = [
-            GroundLook(sensor, lidar_height(self.config, sensor), clouds[-CLOUDS:])
+            GroundLook(sensor, lidar_height(self.config, sensor), list(clouds))
             for sensor, clouds in self._clouds.items()
         ]
         self._clouds = {}

@@ -1,6 +1,8 @@
 """A map is judged by its factors, whole and while it grows."""
 
 import logging
+import weakref
+from collections import deque
 from dataclasses import replace
 
 import gtsam
@@ -17,9 +19,15 @@ from incremental_mapper.graph.factors import (
     pose_sigmas,
 )
 from incremental_mapper.graph.frontier import Frontier
-from incremental_mapper.mapping.judgement import FitWatch, judge_map, judged, residuals
+from incremental_mapper.map.store import MemoryStore
+from incremental_mapper.mapping.judgement import CLOUDS, FitWatch, judge_map, judged, residuals
 from incremental_mapper.mapping.statistics import Totals
-from incremental_mapper.smoothing.graph_state import GraphState, PlacedCluster, PlacedFix
+from incremental_mapper.smoothing.graph_state import (
+    GraphState,
+    PlacedCluster,
+    PlacedFix,
+    PlacedScan,
+)
 from incremental_mapper.variables import pose_key
 
 S = 1_000_000_000
@@ -113,6 +121,29 @@ def test_a_growing_map_is_judged_now_and_then():
         told.append(len(watch.found))
     assert told[40] == 0 and told[60] == 1
     assert [item.rule for item in watch.found] == ['lidars_disagree']
+
+
+def test_clouds_do_not_pile_up_where_a_lidar_fell_silent():
+    """Kept for a look at the ground, for which one of the LiDARs never has enough."""
+    watch, whole, store = FitWatch(Config()), straight(700), MemoryStore()
+    kept = []
+    for count in range(10, 700, 50):
+        names = ['left', 'right'] if count < 100 else ['left']
+        points = np.full((100, 3), count, dtype=np.float32)
+        kept.append(weakref.ref(points))
+        recent = deque(
+            (PlacedScan(0, 0, name, store.put(points), gtsam.Pose3()), points) for name in names
+        )
+        watch.window(
+            GraphState(
+                values=whole.values,
+                clusters=whole.clusters[:count],
+                recent=recent,
+                frontier=Frontier(newest=count - 1, newest_stamp=(count - 1) * S // 10),
+            )
+        )
+    del points, recent
+    assert sum(item() is not None for item in kept) <= CLOUDS + 2
 
 
 def test_outcome_counts_what_is_in_the_map():
