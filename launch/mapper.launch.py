@@ -21,6 +21,10 @@ ARGUMENTS = {
     'name': ('incremental_mapper', 'name of the node'),
     'remappings': ('', 'pairs from:=to, with spaces between them'),
     'save_on_shutdown': ('', 'folder for the map when the node ends; "" leaves it to params_file'),
+    'journal_folder': (
+        '',
+        'folder for journals, against crashes and power cuts; "" leaves it to params_file',
+    ),
     'use_sim_time': ('false', 'whether the node follows /clock'),
     'respawn': ('true', 'whether the node is started again where it ended by itself'),
     'respawn_delay': ('2.0', 'seconds until then'),
@@ -38,6 +42,8 @@ def make_node(context):
     own = {'use_sim_time': given['use_sim_time'].lower() in ('true', '1')}
     if given['save_on_shutdown']:
         own['save.on_shutdown'] = given['save_on_shutdown']
+    if given['journal_folder']:
+        own['journal.folder'] = given['journal_folder']
     return [
         Node(
             package='incremental_mapper',

@@ -145,13 +145,18 @@ def test_launch_file_describes_the_node_and_its_arguments(launched):
         'namespace': 'car',
         'remappings': 'imu:=/sensing/imu fix:=/gnss/fix',
         'save_on_shutdown': '/maps/today',
+        'journal_folder': '/maps/journals',
     }
     (node,) = function.named['function'](given)
     assert node.named['package'] == NAME and node.named['executable'] == 'mapper_node'
     assert node.named['namespace'] == 'car'
     assert node.named['parameters'] == [
         'my.yaml',
-        {'use_sim_time': False, 'save.on_shutdown': '/maps/today'},
+        {
+            'use_sim_time': False,
+            'save.on_shutdown': '/maps/today',
+            'journal.folder': '/maps/journals',
+        },
     ]
     assert node.named['remappings'] == [('imu', '/sensing/imu'), ('fix', '/gnss/fix')]
     assert node.named['respawn'] is True
