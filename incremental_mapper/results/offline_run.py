@@ -42,7 +42,6 @@ from incremental_mapper.settings import make_config, merge, read_yaml
 from incremental_mapper.trajectory import Trajectory
 from incremental_mapper.visualization.extras import left_out
 
-KEPT = '; the map is in its journal: "incremental_mapper recover {}" makes its files'
 UNRELATED = {'selection', 'save', 'journal'}
 """Sections of settings that say nothing of the sensors: with these alone a look still chooses."""
 MOST_MENDS = 3
@@ -222,8 +221,8 @@ def map_into(
         if is_whole(folder):
             for journal in journals:
                 journal.remove()
-        kept = ' and '.join(str(journal.path) for journal in journals if journal.holds_map)
-        raise OutputError(f'{error}{KEPT.format(kept) if kept else ""}') from error
+        kept = ''.join(journal.kept() for journal in journals)
+        raise OutputError(f'{error}{kept}') from error
     for journal in journals:
         journal.remove()
     draw_result(folder, run.result, run.points, drive.truth)

@@ -13,7 +13,7 @@ from incremental_mapper.datasets.sectors import SectorGatherer
 from incremental_mapper.datasets.sensor_settings import with_settings
 from incremental_mapper.errors import MapperError
 from incremental_mapper.measurements import Drops, LidarScan, Measurement
-from incremental_mapper.results.offline_run import KEPT, MOST_MENDS
+from incremental_mapper.results.offline_run import MOST_MENDS
 from incremental_mapper.ros.beginning import Beginning
 from incremental_mapper.ros.inbox import Command, Deadline, Inbox, Order, Renewal
 from incremental_mapper.ros.left_over import LeftOver
@@ -327,7 +327,7 @@ class Worker:
         self.saves.finish()
         journal = None if self._session is None else self._session.journal
         if journal is not None and journal.holds_map:
-            self._emit(Trouble(f'not saved elsewhere{KEPT.format(journal.path)}'))
+            self._emit(Trouble(f'not saved elsewhere{journal.kept()}'))
 
     def _obey(self, command: Command) -> Reply | None:
         """Do what is ordered; returns the reply, unless it comes later or nobody waits for one."""

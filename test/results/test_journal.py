@@ -224,6 +224,7 @@ def test_full_disk_ends_the_journal_and_not_the_map(light_drive, mapped, tmp_pat
     assert finding.rule == 'journal_ended' and f'{half.journal.missing} windows' in finding.text
     assert half.journal.windows + half.journal.missing == len(mapped.sizes)
     assert half.journal.missing > 3
+    assert f'the first {half.journal.windows} windows of the map are' in half.journal.kept()
     # All points are there: those that the journal does not take are kept elsewhere.
     clouds = [run.mapper.result().cloud(run.config.map).points for run in (half, mapped)]
     assert np.array_equal(*clouds)
@@ -242,7 +243,7 @@ def test_folder_that_cannot_be_made_costs_the_journal_only(light_drive, tmp_path
     run = Mapped(light_drive, tmp_path / 'file' / 'folder')
     assert [finding.rule for finding in run.journal.findings] == ['journal_ended']
     assert len(run.mapper.result().clusters) > 20
-    assert not run.journal.holds_map
+    assert not run.journal.holds_map and run.journal.kept() == ''
 
 
 def test_journal_in_use_is_left_alone(mapped, tmp_path):

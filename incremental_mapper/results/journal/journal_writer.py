@@ -188,6 +188,13 @@ class Journal:
         """Whether there is a file of which a map can be made."""
         return self._written.any and not self._removed
 
+    def kept(self) -> str:
+        """Words for a map that is saved nowhere else; none where there is no file of it."""
+        if not self.holds_map:
+            return ''
+        part = f'the first {self.windows} windows of the map are' if self.missing else 'the map is'
+        return f'; {part} in its journal: "incremental_mapper recover {self.path}" makes its files'
+
     def close(self) -> None:
         """End it: what was written reaches the disk, and a file without a map goes."""
         self._ended.set()
