@@ -36,6 +36,7 @@ from incremental_mapper.mapping.judgement import judge_map
 from incremental_mapper.mapping.load_shedding import NO_SHEDDING, LoadShedding
 from incremental_mapper.mapping.newest_state import NewestState, newest_state
 from incremental_mapper.mapping.result import MapResult, WindowResult, fixes_in_map, trajectory_of
+from incremental_mapper.mapping.row_archive import RowArchive
 from incremental_mapper.mapping.same_stamp import prefer_usable
 from incremental_mapper.mapping.scan_intake import ScanIntake
 from incremental_mapper.mapping.standstill import Standstill
@@ -131,7 +132,7 @@ class Mapper:
         self._failed: Drops = Counter()
         self._standstill = Standstill()
         self._failures = FailedWindows()
-        self._rows: list[dict[str, Any]] = []
+        self._rows = RowArchive()
         self._watch = Watch(config)
         self._settings = to_tree(config)
 
@@ -236,7 +237,7 @@ class Mapper:
             trajectory=trajectory_of(clusters, values),
             scans=tuple(self._state.scans),
             fixes=fixes_in_map(self._state),
-            rows=tuple(self._rows),
+            rows=self._rows.all(),
             statistics=self.statistics,
             findings=self._watch.final(
                 lambda: judge_map(self._state, values, self.config),
@@ -526,7 +527,7 @@ class Mapper:
         row = window_row(
             totals.windows, (frame.start, frame.end), core, frame.imu, choice, error, seconds
         )
-        self._rows.append(row)
+        self._rows.add(row)
         totals.windows += 1
         return WindowResult(
             index=totals.windows - 1,
