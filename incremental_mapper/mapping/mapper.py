@@ -57,7 +57,7 @@ from incremental_mapper.selection.window_problem import pose_problem
 from incremental_mapper.selection.window_record import WindowRecord, record_window
 from incremental_mapper.settings import to_tree
 from incremental_mapper.smoothing import linear_system
-from incremental_mapper.smoothing.graph_state import GraphState
+from incremental_mapper.smoothing.graph_state import GraphState, recent_scans
 
 IMU = 'imu'
 """Name of the IMU among the sensors."""
@@ -126,7 +126,7 @@ class Mapper:
         self._series, self._gate = EMPTY_SERIES, ImuGate()
         self._orientation: NDArray[np.float64] | None = None
         self._carried: list[Prepared] = []
-        self._state = GraphState(store=store)
+        self._state = GraphState(store=store, recent=recent_scans(config.mom.submap_scans))
         self._base = BaseCount(round(config.preintegration.max_gap * NANOSECONDS))
         self._totals = Totals()
         self._failed: Drops = Counter()

@@ -3,6 +3,7 @@
 from collections import Counter, deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TypeAlias
 
 import gtsam
 import numpy as np
@@ -72,8 +73,19 @@ class PlacedFix:
     factor: int
 
 
-def _recent_scans() -> deque[tuple[PlacedScan, NDArray[np.float64]]]:
-    return deque(maxlen=MOST_SUBMAP_SCANS)
+Recent: TypeAlias = deque[tuple[PlacedScan, NDArray[np.float64]]]
+"""Scans with their points (M, 3) in base_link for scoring, the newest ones."""
+LEAST_RECENT = 20
+"""So many scans that the newest of every LiDAR is among them."""
+
+
+def recent_scans(wanted: int = MOST_SUBMAP_SCANS) -> Recent:
+    """Room for the newest scans: at 64 beams each takes 0.1 MB.
+
+    Args:
+        wanted: ``mom.submap_scans``.
+    """
+    return deque(maxlen=max(wanted, LEAST_RECENT))
 
 
 @dataclass(slots=True)
@@ -105,7 +117,7 @@ class GraphState:
     clusters: list[PlacedCluster] = field(default_factory=list)
     factors: list[Factor] = field(default_factory=list)
     scans: list[PlacedScan] = field(default_factory=list)
-    recent: deque[tuple[PlacedScan, NDArray[np.float64]]] = field(default_factory=_recent_scans)
+    recent: Recent = field(default_factory=recent_scans)
     fixes: list[PlacedFix] = field(default_factory=list)
     prior: MarginalPrior = field(default_factory=MarginalPrior)
     values: gtsam.Values = field(default_factory=gtsam.Values)

@@ -5,7 +5,7 @@ import json
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import accumulate, pairwise
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -147,13 +147,32 @@ class _Reading:
     """What is known after some records."""
 
     begun: Tree
-    state: GraphState = field(default_factory=GraphState)
+    clusters: list[PlacedCluster] = field(default_factory=list)
+    factors: list[Factor] = field(default_factory=list)
+    scans: list[PlacedScan] = field(default_factory=list)
+    fixes: list[PlacedFix] = field(default_factory=list)
+    final: gtsam.Values = field(default_factory=gtsam.Values)
     lag: gtsam.Values = field(default_factory=gtsam.Values)
     rows: list[dict[str, Any]] = field(default_factory=list)
     failed: list[WindowRecord] = field(default_factory=list)
     findings: tuple[Finding, ...] = ()
     last: Tree = field(default_factory=dict)
     damage: Damage | None = None
+
+    def state(self) -> GraphState:
+        """G(t) after the last window."""
+        values = gtsam.Values(self.final)
+        values.insert_or_assign(self.lag)
+        offset = self.last['enu_offset']
+        return GraphState(
+            clusters=self.clusters,
+            factors=self.factors,
+            scans=self.scans,
+            fixes=self.fixes,
+            values=values,
+            enu_offset=None if offset is None else np.array(offset),
+            georeferenced=self.last['georeferenced'],
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,41 +203,32 @@ def _read(path: Path, file: BinaryIO) -> _Reading:
             reading.failed.append(WindowRecord(tree['window'], tree['error'], data))
         elif item.kind == WINDOW:
             _take(reading, _unpacked(file, item), points)
-    if reading is None or not reading.state.clusters:
+    if reading is None or not reading.clusters:
         raise InputError(f'{path}: holds no window of a map; there is nothing to recover')
     return reading
 
 
 def _take(reading: _Reading, tree: Tree, points: _Points) -> None:
     """Append a window, as the mapper did."""
-    state = reading.state
     graph, lag, final = tree['texts']
     factors = _factors(tree['factors'], graph)
     if (order := tree.get('order')) is not None:
         # All of G(t) was replaced.
-        new = iter(factors)
-        state.factors = [state.factors[place] if place >= 0 else next(new) for place in order]
-        state.fixes, state.values = [], gtsam.Values()
+        known, new = reading.factors, iter(factors)
+        reading.factors = [known[place] if place >= 0 else next(new) for place in order]
+        reading.fixes, reading.final = [], gtsam.Values()
     else:
-        state.factors.extend(factors)
-    state.values.insert_or_assign(_values(final))
+        reading.factors.extend(factors)
+    reading.final.insert_or_assign(_values(final))
     reading.lag = _values(lag)
     if tree['joined'] is not None:
         number, core, stood = tree['joined']
-        before = state.clusters[number]
-        state.clusters[number] = PlacedCluster(
-            before.id,
-            before.window,
-            before.cluster,
-            (*before.joined, *map(_core, core)),
-            (*before.stood, *stood),
-        )
-    state.clusters.extend(map(_cluster, tree['clusters']))
-    state.scans.extend(_scan(scan, points) for scan in tree['scans'])
-    state.fixes.extend(map(_fix, tree['fixes']))
-    offset = tree['enu_offset']
-    state.enu_offset = None if offset is None else np.array(offset)
-    state.georeferenced = tree['georeferenced']
+        before = reading.clusters[number]
+        joined = (*before.joined, *map(_core, core))
+        reading.clusters[number] = replace(before, joined=joined, stood=(*before.stood, *stood))
+    reading.clusters.extend(map(_cluster, tree['clusters']))
+    reading.scans.extend(_scan(scan, points) for scan in tree['scans'])
+    reading.fixes.extend(map(_fix, tree['fixes']))
     reading.rows.append(tree['row'])
     if 'findings' in tree:
         reading.findings = _findings(tree['findings'])
@@ -227,9 +237,8 @@ def _take(reading: _Reading, tree: Tree, points: _Points) -> None:
 
 @single_threaded_blas()
 def _recovered(path: Path, reading: _Reading) -> Recovered:
-    state, begun, last = reading.state, reading.begun, reading.last
+    state, begun, last = reading.state(), reading.begun, reading.last
     config = make_config(begun['settings'], str(path))
-    state.values.insert_or_assign(reading.lag)
     values, failed = final_values(state, config)
     statistics = {**last['statistics'], 'settings': begun['settings']}
     statistics['solver_failures'] += int(failed)
