@@ -37,7 +37,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from lies import bags, clocks, clouds, fixes, frames, inertial, sensors  # noqa: F401
+from lies import bags, clocks, clouds, fixes, frames, hardware, inertial, sensors  # noqa: F401
 from lies.lie import LIES, Lie, Verdict
 from lies.recording import DRIVES, Recording, make_drive
 

@@ -95,6 +95,11 @@ class Imu(Sensor):
     0.00980665 in milli-g, -1 where gravity has the wrong sign."""
     rate_scale: float = Field(default=1.0, gt=0.0, le=1e6, allow_inf_nan=False)
     """Factor that makes rad/s of the angular rates: 0.0174533 where they are in deg/s."""
+    max_rate: float = Field(default=80.0, gt=0.0, le=1e6)
+    """Samples with an angular rate above it, in rad/s, are left out: no gyroscope measures 80; less
+    where it clips."""
+    max_acceleration: float = Field(default=400.0, gt=0.0, le=1e9)
+    """The same for accelerations, m/s^2: few IMUs measure more than 157 (16 g)."""
 
     @model_validator(mode='after')
     def _check_scale(self) -> Self:

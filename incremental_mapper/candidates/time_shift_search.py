@@ -6,6 +6,7 @@ yields complete candidates in ascending order and stops whenever the caller has 
 """
 
 import heapq
+import sys
 from collections.abc import Iterator, Sequence
 from functools import cache
 from itertools import count
@@ -63,7 +64,11 @@ and the prefix."""
 
 
 def by_time_shift(
-    elements: Sequence[Element], head: int | None, imu: ImuStamps, may_merge: bool = True
+    elements: Sequence[Element],
+    head: int | None,
+    imu: ImuStamps,
+    may_merge: bool = True,
+    most: int = sys.maxsize,
 ) -> Iterator[Candidate]:
     """Distinct candidates of a window in ascending order of total time shift, exactly.
 
@@ -75,15 +80,21 @@ def by_time_shift(
         head: Stamp (ns) of the cluster of G(t-1) to connect from, None where there is none.
         imu: Which IMU samples lie between two stamps.
         may_merge: Whether measurements of different stamps may share a cluster.
+        most: Prefixes of candidates after which the search gives up; in a window of ninety
+            measurements there are millions before the first thousand candidates are whole.
 
     Yields:
         Candidates, connected or not; stop whenever there are enough.
     """
-    return _by_cost(elements, head, imu, may_merge, 0)
+    return _by_cost(elements, head, imu, may_merge, 0, most)
 
 
 def by_vertices(
-    elements: Sequence[Element], head: int | None, imu: ImuStamps, may_merge: bool = True
+    elements: Sequence[Element],
+    head: int | None,
+    imu: ImuStamps,
+    may_merge: bool = True,
+    most: int = sys.maxsize,
 ) -> Iterator[Candidate]:
     """Distinct candidates of a window in ascending order of vertices, then of time shift, exactly.
 
@@ -92,15 +103,21 @@ def by_vertices(
         head: Stamp (ns) of the cluster of G(t-1) to connect from, None where there is none.
         imu: Which IMU samples lie between two stamps.
         may_merge: Whether measurements of different stamps may share a cluster.
+        most: Prefixes of candidates after which the search gives up.
 
     Yields:
         Candidates, connected or not; stop whenever there are enough.
     """
-    return _by_cost(elements, head, imu, may_merge, _VARIABLE)
+    return _by_cost(elements, head, imu, may_merge, _VARIABLE, most)
 
 
 def _by_cost(
-    elements: Sequence[Element], head: int | None, imu: ImuStamps, may_merge: bool, variable: int
+    elements: Sequence[Element],
+    head: int | None,
+    imu: ImuStamps,
+    may_merge: bool,
+    variable: int,
+    most: int,
 ) -> Iterator[Candidate]:
     """Candidates in ascending order of time shift plus ``variable`` for each vertex."""
     length = len(elements)
@@ -158,7 +175,8 @@ def _by_cost(
     start = head, True  # what G(t-1) has costs nothing
     empty = _Prefix(None, None, 0, None if head is None else HEAD)
     heap: list[_Entry] = [(cheapest(0, start), 0, next(order), 0, start, False, empty)]
-    while heap:
+    made = 0
+    while heap and made < most:
         bound, _, _, position, node, linked, prefix = heapq.heappop(heap)
         if prefix.before is not None:
             before = prefix.before
@@ -180,4 +198,5 @@ def _by_cost(
             joins = visited and sample(node[0], merged.stamp) is not None
             newest = prefix.size if visited else prefix.newest
             longer = _Prefix(prefix, merged, prefix.size + 1, newest)
+            made += 1
             heapq.heappush(heap, (bound, -after, next(order), after, onward, joins, longer))

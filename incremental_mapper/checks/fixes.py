@@ -69,6 +69,8 @@ _TEXTS = {
     'datum_outlier': 'at the start are up to {most} from where the later ones and odometry say',
     'altitude_jump': 'are up to {most} higher or lower than odometry and the fixes before them say',
 }
+_ABANDONED = 'at the start agree neither with later ones nor with odometry'
+"""Of fixes that nothing was left to measure their distance from."""
 _REMEDIES = {
     'altitude_jump': 'their heights are moved back where that is certain, else left out',
 }
@@ -91,8 +93,7 @@ def judged_fixes(
             rule=reason,
             severity=_severity(reason, out, received),
             sensor=sensor,
-            text=f'{one.count} of {received} fixes '
-            f'{_TEXTS[reason].format(most=_metres(one.most))}, the first at {one.first}',
+            text=f'{one.count} of {received} fixes {_text(reason, one)}, the first at {one.first}',
             remedy=_REMEDIES.get(reason, _left_out(out, received)),
         )
         for reason, one in suspicions.items()
@@ -111,6 +112,12 @@ def judged_fixes(
             )
         )
     return tuple(found)
+
+
+def _text(reason: str, one: Suspicion) -> str:
+    if reason == 'datum_outlier' and one.most == 0.0:
+        return _ABANDONED
+    return _TEXTS[reason].format(most=_metres(one.most))
 
 
 def far_datum(sensor: str, farthest: float, first: int) -> tuple[Finding, ...]:

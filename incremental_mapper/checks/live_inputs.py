@@ -99,6 +99,25 @@ def foreign_frame(lidar: str, topic: str, own: str, frame: str, count: int) -> F
     )
 
 
+def foreign_messages(sensor: str, own: str, frame: str, count: int) -> Finding:
+    """Messages of another receiver or IMU come between those of one.
+
+    Args:
+        sensor: On whose topic they came.
+        own: Its frame_id.
+        frame: The other frame_id.
+        count: Messages that have it.
+    """
+    return Finding(
+        'foreign_frame',
+        Severity.WARNING,
+        sensor,
+        f'{count} messages have the frame_id {frame!r}, between those with {own!r}: another sensor '
+        'on the same topic; they are left out',
+        f'give each its own topic, and name the one that is wanted in {sensor}.topic',
+    )
+
+
 def messages_lost(
     sensor: str, topic: str, count: int, publishers: Sequence[str], override: str
 ) -> Finding:

@@ -12,6 +12,9 @@ FEW = 5
 """Messages that make a judgement."""
 LONG = 3.0
 """Seconds of a recording after which every sensor has sent something."""
+LATE_REASON, LATE = 'late', 0.1
+"""Reason of measurements that come after their window was closed, and their share from which a user
+is told. Sound recordings have none; where a simulator begins anew in one, all that follows is."""
 SWITCHED_OFF = 'switched_off'
 """Reason of samples that the settings do not want."""
 REASONS = 3
@@ -47,8 +50,8 @@ def sensor_findings(sensors: Sequence[SensorUse], seconds: float) -> list[Findin
         seconds: Of the recording; in a short one a receiver of 1 Hz may well have sent nothing.
 
     Returns:
-        ``no_scan_used`` (an error), ``sensor_silent``, ``sensor_unused`` and
-        ``sensor_mostly_unused``.
+        ``no_scan_used`` (an error), ``sensor_silent``, ``sensor_unused``,
+        ``sensor_mostly_unused`` and ``came_late``.
     """
     lidars = [item for item in sensors if item.kind == 'lidar']
     heard = [item for item in sensors if item.offered or seconds > LONG]
@@ -62,7 +65,9 @@ def sensor_findings(sensors: Sequence[SensorUse], seconds: float) -> list[Findin
             for item in heard
             if item.kind == 'lidar' and (finding := _lidar(item)) is not None
         ]
-    return [*found, *(finding for item in others if (finding := _other(item)) is not None)]
+    found += [finding for item in others if (finding := _other(item)) is not None]
+    told = {finding.sensor for finding in found}
+    return [*found, *(late for item in heard if item.name not in told for late in _late(item))]
 
 
 def _no_scan(lidars: Iterable[SensorUse]) -> Finding:
@@ -128,6 +133,23 @@ def _other(item: SensorUse) -> Finding | None:
         if imu
         else f'check {item.name}.time_offset, fixes.min_status and fixes.max_sigma',
     )
+
+
+def _late(item: SensorUse) -> list[Finding]:
+    late = item.dropped.get(LATE_REASON, 0)
+    if item.offered < FEW or late <= LATE * item.offered:
+        return []
+    return [
+        Finding(
+            'came_late',
+            Severity.WARNING,
+            item.name,
+            f'{late} of {item.offered} messages were left out, for they came when what is stamped '
+            'later was mapped already',
+            'where all stamps step back, as of a simulator that begins anew, map the parts by '
+            'themselves; where one sensor comes late, set window.lateness to more than its delay',
+        )
+    ]
 
 
 def _silent(item: SensorUse) -> Finding:

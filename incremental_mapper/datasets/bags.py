@@ -36,6 +36,7 @@ from incremental_mapper.datasets.message_conversion import (
     imu_from_message,
     scan_from_message,
 )
+from incremental_mapper.datasets.one_frame import OneFrame
 from incremental_mapper.datasets.remarks import Remarks
 from incremental_mapper.datasets.sampling import SamplePlan, SensorKind, SensorSample
 from incremental_mapper.datasets.sectors import NO_POINTS, SectorGatherer
@@ -79,6 +80,7 @@ class BagSource:
         self._drops: Drops = Counter()
         self._remarks = Remarks()
         self._other_frames: Counter[tuple[str, str]] = Counter()
+        self._one_frame = OneFrame()
         own = _own_settings(self._folder, listed_lidars(tree))
         config = make_config(merge(own, tree))
         with self._open() as reader:
@@ -194,13 +196,14 @@ class BagSource:
             other_frame(sensor, self._frames[sensor], frame, count, self._lidar_of(frame))
             for (sensor, frame), count in self._other_frames.items()
         ]
-        findings = (*self._info.findings, *frames, *self._remarks.findings())
+        others = self._one_frame.findings()
+        findings = (*self._info.findings, *frames, *others, *self._remarks.findings())
         return replace(self._info, findings=findings)
 
     @property
     def drops(self) -> Drops:
         """Messages that the last run of ``measurements`` could not use."""
-        return self._drops.copy()
+        return self._drops + self._one_frame.drops
 
     def measurements(self) -> Iterator[Measurement]:
         """All usable measurements in the order in which the bag logged them.
@@ -211,6 +214,7 @@ class BagSource:
         self._drops = Counter()
         self._remarks = Remarks()
         self._other_frames = Counter()
+        self._one_frame = OneFrame()
         converters = self._converters()
         gatherers = {name: SectorGatherer() for name in self._gathered}
         left = Counter(self._messages)
@@ -246,6 +250,8 @@ class BagSource:
                     if sweep is None:
                         continue
                     measurement = sweep
+                if not self._is_own(sensor, message, measurement.stamp):
+                    continue
                 self._remarks.take(measurement)
                 yield measurement
         for gatherer in gatherers.values():
@@ -338,6 +344,12 @@ class BagSource:
             return sensor
         self._other_frames[sensor, frame] += 1
         return self._lidar_of(frame) or sensor
+
+    def _is_own(self, sensor: str, message: Any, stamp: int) -> bool:
+        """Whether a fix or a sample is the sensor's, and of no second one on its topic."""
+        if sensor in self._choice.lidars:
+            return True
+        return self._one_frame.take(sensor, str(message.header.frame_id), stamp)
 
     def _lidar_of(self, frame: str) -> str:
         """The one LiDAR whose first clouds had this frame; '' where there is none."""

@@ -34,6 +34,9 @@ _ALL = 2000
 
 _COARSE = 40
 """Consecutive messages that are read where the first and the last ones have stamps that stand."""
+_BEHIND = 2.0
+"""Mean steps of a sensor's record times by which its stamps may lag now more and now less; where
+messages are stamped as they are taken from a queue, a few at a time, it is as many as those."""
 _PAIRS = 2
 """So many of the first and last stamps that stand make a suspicion: a message recorded twice is
 one."""
@@ -166,7 +169,7 @@ class ClockLook:
                 continue
             for frame, name in by_frame.items():
                 pairs = np.array(sorted(self._pairs.get(name, [])), dtype=np.int64).reshape(-1, 2)
-                if name in self.restamped or standing_steps(pairs) < _PAIRS:
+                if name in self.restamped or not _may_stand(pairs, times):
                     continue
                 start = int(times[(len(times) - _COARSE) // 2])
                 run = self._pairs_of(topic, frame, start)
@@ -255,6 +258,19 @@ def stamped(data: bytes, stamp: int, ros1: bool) -> bytes:
     order = '<' if ros1 or data[1:2] in (b'\x01', b'\x03') else '>'
     time = struct.pack(f'{order}iI', *divmod(stamp, NANOSECONDS))
     return data[:4] + time + data[12:]
+
+
+def _may_stand(pairs: NDArray[np.int64], times: NDArray[np.int64]) -> bool:
+    """Whether stamps may stand between the few messages that were read.
+
+    Args:
+        pairs: Record times and stamps (N, 2) of these, ns.
+        times: Record times of all messages, ns.
+    """
+    if standing_steps(pairs) >= _PAIRS:
+        return True
+    step = float(times[-1] - times[0]) / (len(times) - 1)
+    return len(pairs) > 1 and float(np.ptp(pairs[:, 0] - pairs[:, 1])) > _BEHIND * step
 
 
 def peek_header(data: bytes, ros1: bool) -> tuple[int, str]:

@@ -8,12 +8,6 @@ import numpy as np
 from incremental_mapper.config import Imu
 from incremental_mapper.measurements import NANOSECONDS, Drops, ImuSample
 
-MAX_FORCE = 400.0
-"""m/s^2. IMUs measure up to 16 g (157 m/s^2), some up to 40 g; the drives here have at most 11.3,
-and a car on a kerb 30 to 50."""
-MAX_RATE = 80.0
-"""rad/s. Gyroscopes measure up to 2000 deg/s (35 rad/s), some up to 4000 (70); the drives here
-have at most 0.7."""
 FROZEN = NANOSECONDS // 2
 """Nanoseconds for which a sample is repeated bit for bit before it counts as frozen. A 10 Hz IMU
 that is published at 100 Hz repeats for 0.1 s; none of the drives here repeats a sample at all."""
@@ -53,7 +47,7 @@ class ImuIntake:
         rate, force = sample.gyro.tolist(), sample.acceleration.tolist()
         fastest = settings.rate_scale * max(map(abs, rate))
         strongest = abs(settings.acceleration_scale) * max(map(abs, force))
-        if fastest > MAX_RATE or strongest > MAX_FORCE:
+        if fastest > settings.max_rate or strongest > settings.max_acceleration:
             self.drops[sample.sensor, 'implausible'] += 1
             return None
         values = (*rate, *force)

@@ -19,6 +19,7 @@ from incremental_mapper.checks.imu_gravity import (
 )
 from incremental_mapper.checks.imu_holes import check_holes
 from incremental_mapper.checks.imu_motion import FEWEST, MotionEvidence
+from incremental_mapper.checks.imu_range import check_range
 from incremental_mapper.checks.lidar_clock import lidar_clock_findings
 from incremental_mapper.config import Config, Tree
 from incremental_mapper.frontend.front_end import Prepared
@@ -131,9 +132,12 @@ class ImuWatch:
     def _look_at_gravity(self) -> Sequence[Finding]:
         if len(self._samples) == 0:
             return ()
-        stamps, _, force = self._arrays()
+        stamps, gyro, force = self._arrays()
         found = measure_gravity(stamps, force)
         finding = None if found is None else check_gravity(found, self._settings, self._gravity)
+        # In another unit, or the other way up, even the end of the range would be told wrongly.
+        if finding is None:
+            finding = check_range(stamps, gyro, force, self._settings, self._gravity)
         return () if finding is None else (finding,)
 
     def _look_at_motion(self, last: bool) -> Sequence[Finding]:

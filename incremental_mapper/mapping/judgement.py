@@ -25,6 +25,7 @@ from incremental_mapper.checks.motions import (
 )
 from incremental_mapper.checks.outcome import Outcome
 from incremental_mapper.checks.residuals import Residuals, fit_findings
+from incremental_mapper.checks.speed import speed_findings
 from incremental_mapper.config import Config
 from incremental_mapper.frontend.match_noise import WEAK, weak_directions
 from incremental_mapper.graph.factors import Factor, FactorKind
@@ -32,6 +33,7 @@ from incremental_mapper.mapping.statistics import Totals
 from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.selection.window_record import WindowRecord
 from incremental_mapper.smoothing.graph_state import GraphState, PlacedFix, PlacedScan
+from incremental_mapper.variables import pose_key
 
 LOGGER = logging.getLogger('incremental_mapper')
 PERIOD = 5 * NANOSECONDS
@@ -203,7 +205,12 @@ def judge_map(state: GraphState, values: gtsam.Values, config: Config) -> list[F
 def _judge(state: GraphState, values: gtsam.Values, config: Config) -> list[Finding]:
     driven = motions(matches(state.factors))
     fit = fit_findings(residuals(judged(state.factors), values), state.clusters[0].cluster.stamp)
+    placed = sorted(state.clusters, key=lambda item: item.cluster.stamp)
     return [
+        *speed_findings(
+            np.array([item.cluster.stamp for item in placed], dtype=np.int64),
+            np.array([values.atPose3(pose_key(item.id)).translation() for item in placed]),
+        ),
         *distance_findings(driven, track(state.fixes)),
         *ground_findings(ground_looks(state.scans, config)),
         *causes(fit, motion_findings(driven)),

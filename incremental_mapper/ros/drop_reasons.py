@@ -29,7 +29,7 @@ DROP_REASONS = {
         'a field or message of another type than it should be', 'correct the driver'
     ),
     'implausible': DropReason(
-        'an acceleration or a rate that no vehicle has',
+        'an acceleration or a rate beyond imu.max_acceleration or imu.max_rate',
         'check imu.acceleration_scale and imu.rate_scale, and the sensor',
     ),
     'frozen': DropReason(
@@ -113,7 +113,7 @@ DROP_REASONS = {
         'its map was given up for one with mended settings', 'write the setting that the log names'
     ),
     'foreign_frame': DropReason(
-        "clouds of another frame_id come on the LiDAR's topic", 'give each LiDAR its own topic'
+        "messages of another frame_id come on the sensor's topic", 'give each sensor its own topic'
     ),
     'unplaced': DropReason(
         'nobody tells where the LiDAR is beside the others', 'set its T_base_sensor'

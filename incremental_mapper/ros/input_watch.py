@@ -22,12 +22,11 @@ from incremental_mapper.checks.sweeps import (
 )
 from incremental_mapper.config import LidarSensor
 from incremental_mapper.datasets.first_look import LOOKED_AT
+from incremental_mapper.datasets.one_frame import FOREIGN, OneFrame
 from incremental_mapper.datasets.remarks import Remarks
 from incremental_mapper.datasets.topics import CONVERTERS, MAP_FRAMES
 from incremental_mapper.measurements import NANOSECONDS, Drops, LidarScan, Measurement, Points
 
-FOREIGN = 'foreign_frame'
-"""Why a cloud is left out that comes between those of another frame_id."""
 RENAMED = 2 * NANOSECONDS
 """Nanoseconds without a cloud of a LiDAR's own frame_id after which another one is its new name."""
 LOOKS = 3
@@ -38,13 +37,13 @@ class InputWatch:
     """Gathers what the messages of all topics show; used in the executor's thread.
 
     A topic's clouds of one frame_id belong to one LiDAR: where several LiDARs have the topic, to
-    the one whose name the frame_id contains, else in the order of the settings. ``drops`` counts
-    clouds that are nobody's.
+    the one whose name the frame_id contains, else in the order of the settings.
     """
 
     def __init__(self, topics: Mapping[str, str], lidars: Mapping[str, LidarSensor]) -> None:
         """``topics`` are the full names by sensor, ``lidars`` the settings of the LiDARs."""
-        self.drops: Drops = Counter()
+        self._cloud_drops: Drops = Counter()
+        self._others = OneFrame()
         self._topics = topics
         self._lidars = dict(lidars)
         self._owners: dict[str, dict[str, str | None]] = defaultdict(dict)
@@ -67,18 +66,25 @@ class InputWatch:
             frame: Its frame_id.
 
         Returns:
-            Whether it is the sensor's; clouds of another LiDAR are not.
+            Whether it is the sensor's; those of another one on its topic are not.
         """
         self._heard.add(measurement.sensor)
         if isinstance(measurement, LidarScan):
             owner = self._owner(measurement, frame)
             if owner != measurement.sensor:
                 if owner is None:
-                    self.drops[measurement.sensor, FOREIGN] += 1
+                    self._cloud_drops[measurement.sensor, FOREIGN] += 1
                 return False
             self._look_at_cloud(measurement, frame)
+        elif not self._others.take(measurement.sensor, frame, measurement.stamp):
+            return False
         self._remarks.take(measurement)
         return True
+
+    @property
+    def drops(self) -> Drops:
+        """What was left out, by sensor and reason."""
+        return Counter(dict(self._cloud_drops)) + Counter(dict(self._others.drops))
 
     @property
     def silent(self) -> list[str]:
@@ -129,6 +135,7 @@ class InputWatch:
         return (
             *self._of_frames(keys),
             *self._alternating.values(),
+            *self._others.findings(),
             *self._remarks.findings(),
             *self._unpublished,
         )

@@ -30,6 +30,9 @@ from incremental_mapper.smoothing.gauss_newton import Solved
 
 AT_ONCE = 6
 """Candidates that are solved between two looks at the clock."""
+MOST_PREFIXES = 50_000
+"""Prefixes that are followed in search of a connected candidate where the beam has none: half a
+second. A window of ninety fixes has millions, and mostly it is its measurements that are wrong."""
 PATIENCE = 60
 """Candidates whose single decisions are changed in vain before a search ends."""
 
@@ -188,7 +191,8 @@ class _Selection:
         searched = beam_search(problem, self._make_criterion, width, self._seconds())
         found = [base, *(item for item in searched if item != base)]
         if all(problem.unconnected(item) for item in found):
-            found += islice(by_time_shift(*window), settings.max_candidates)
+            others = by_time_shift(*window, most=MOST_PREFIXES)
+            found += islice(others, settings.max_candidates)
         return found, True
 
     def _seconds(self) -> float:

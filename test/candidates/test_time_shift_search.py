@@ -66,3 +66,13 @@ def test_same_window_is_searched_in_the_same_order_every_time():
 
 def test_empty_window_has_no_candidate():
     assert list(by_time_shift((), None, imu_at([1, 2]))) == []
+
+
+def test_a_window_of_ninety_fixes_that_nothing_connects_is_given_up():
+    """Without scans it has millions of prefixes before a thousand candidates are whole."""
+    stamps = [index * 10**7 + index % 7 for index in range(90)]
+    core = [CoreMeasurement(stamp, 'gnss', CoreKind.GNSS) for stamp in stamps]
+    elements = group_elements(core)
+    found = list(by_time_shift(elements, None, imu_at([1, 10**8]), most=2000))
+    every = list(islice(by_time_shift(elements, None, imu_at([1, 10**8])), len(found) + 1))
+    assert found == every[:-1]

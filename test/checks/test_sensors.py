@@ -60,3 +60,12 @@ def test_imu_of_which_most_samples_were_left_out():
     assert '480 of 536' in found.text and 'duplicate_stamp' in found.text
     few = SensorUse('imu', 'imu', 536, 40, {'duplicate_stamp': 20})
     assert rules(LEFT, few) == rules(LEFT, IMU) == {}
+
+
+def test_a_sensor_of_which_much_came_late():
+    """As after a simulator that begins anew: half of the drive is lost, and no more than half."""
+    late = replace(LEFT, used=26, dropped={'late': 24})
+    found = rules(late, replace(IMU, dropped={'late': 240}), GNSS)
+    assert set(found) == {('came_late', 'left'), ('came_late', 'imu')}
+    assert '24 of 50' in found['came_late', 'left'].text
+    assert rules(replace(LEFT, dropped={'late': 2}), IMU, GNSS) == {}

@@ -339,3 +339,19 @@ def test_copies_are_left_out_beside_a_map_that_was_made_of_the_same(tmp_path):
     assert source.info.counts == {'points': 14}
     assert len(said(source, 'copied_clouds')) == len(said(source, 'map_frame')) == 1
     assert source.info.findings == ()
+
+
+def test_a_second_receiver_on_the_topic_is_left_out(tmp_path):
+    rear = [
+        ('/fix', framed(FIX, START + i * 100 * MS + 50 * MS, 'rear_gnss')) for i in range(3, 20, 4)
+    ]
+    events = sorted(
+        [*sensors(count=20), *rear],
+        key=lambda item: item[1].header.stamp.sec * 10**9 + item[1].header.stamp.nanosec,
+    )
+    source = open_source(write(tmp_path / 'bag', events), {})
+    stamps = [item.stamp for item in source.measurements() if item.sensor == 'gnss']
+    assert len(stamps) == 20 and all((stamp - START) % (100 * MS) == 0 for stamp in stamps)
+    assert source.drops['gnss', 'foreign_frame'] == 5
+    (note,) = said(source, 'foreign_frame')
+    assert "'rear_gnss'" in note

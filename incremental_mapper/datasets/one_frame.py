@@ -1,0 +1,52 @@
+"""Tells the messages of two receivers or IMUs on one topic apart by their frame_ids."""
+
+from collections import Counter
+
+from incremental_mapper.checks.finding import Finding
+from incremental_mapper.checks.live_inputs import foreign_messages
+from incremental_mapper.measurements import NANOSECONDS, Drops
+
+FOREIGN = 'foreign_frame'
+"""Why a message is left out that comes between those of another frame_id."""
+RENAMED = 5 * NANOSECONDS
+"""Nanoseconds without a message of a sensor's own frame_id after which another one is its new
+name: a receiver of 1 Hz may miss a few."""
+
+
+class OneFrame:
+    """Lets one frame_id a sensor pass: the first one, as long as it goes on.
+
+    Two antennas, or two IMUs, on one topic would be taken for one that jumps to and fro. LiDARs on
+    one topic are each mapped, and are told apart elsewhere. ``drops`` counts what does not pass.
+    """
+
+    def __init__(self) -> None:
+        self.drops: Drops = Counter()
+        self._own: dict[str, str] = {}
+        self._newest: dict[str, int] = {}  # stamp of the own frame_id
+        self._foreign: Counter[tuple[str, str]] = Counter()
+
+    def take(self, sensor: str, frame: str, stamp: int) -> bool:
+        """Tell whether a message is the sensor's.
+
+        Args:
+            sensor: On whose topic it came.
+            frame: Its frame_id.
+            stamp: Its header stamp, ns.
+        """
+        own = self._own.setdefault(sensor, frame)
+        if frame != own:
+            if stamp - self._newest[sensor] <= RENAMED:
+                self._foreign[sensor, frame] += 1
+                self.drops[sensor, FOREIGN] += 1
+                return False
+            self._own[sensor] = frame
+        self._newest[sensor] = max(stamp, self._newest.get(sensor, stamp))
+        return True
+
+    def findings(self) -> tuple[Finding, ...]:
+        """What was left out."""
+        return tuple(
+            foreign_messages(sensor, self._own[sensor], frame, count)
+            for (sensor, frame), count in self._foreign.items()
+        )
