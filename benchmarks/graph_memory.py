@@ -25,6 +25,7 @@ from incremental_mapper.graph.factors import (
     gnss_factor,
     imu_factor,
 )
+from incremental_mapper.mapping.row_archive import RowArchive
 from incremental_mapper.smoothing.graph_state import PlacedCluster, PlacedScan
 from incremental_mapper.variables import bias_key, pose_key, velocity_key
 
@@ -85,8 +86,10 @@ def piece_sizes() -> dict[str, float]:
         )
         return PlacedCluster(i, i, Cluster(members))
 
-    def window(i: int) -> dict[str, Any]:
-        return {name: 0.5 * i + column for column, name in enumerate(NAMES)}
+    rows = RowArchive()
+
+    def window(i: int) -> None:
+        rows.add({name: 0.5 * i + column for column, name in enumerate(NAMES)})
 
     def scan(i: int) -> PlacedScan:
         points = np.ones((1, 3), dtype=np.float32)
