@@ -203,7 +203,8 @@ class Journal:
         elif not self._removed:
             if not self._reason:
                 self._flush_quietly()
-            fcntl.lockf(self._number, fcntl.LOCK_UN)
+            with contextlib.suppress(OSError):
+                fcntl.lockf(self._number, fcntl.LOCK_UN)
 
     def remove(self) -> None:
         """End it and remove its file: the map is saved, or nobody wants it; any thread may.
@@ -229,8 +230,9 @@ class Journal:
                 self._file = FileIO(path, 'x+')
                 self.path = path
         # Whoever recovers journals must leave one alone that is being written. This lock is not
-        # inherited by a fork, and ends with this process.
-        fcntl.lockf(self._number, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        # inherited by a fork, and ends with this process. Some network disks have none.
+        with contextlib.suppress(OSError):
+            fcntl.lockf(self._number, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
     @property
     def _number(self) -> int:
