@@ -54,7 +54,7 @@ setup(
     python_requires='>=3.11',
     packages=find_packages(exclude=['test', 'test.*']),
     package_data={
-        f'{NAME}.evaluation.report': ['page.html', 'style.css'],
+        f'{NAME}.evaluation.report': ['macros.html', 'page.html', 'run.html', 'style.css'],
         f'{NAME}.exports': ['graph.schema.json'],
     },
     data_files=[

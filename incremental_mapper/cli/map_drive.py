@@ -1,22 +1,25 @@
-"""``incremental_mapper map``: a KAIST folder or a bag in, graph, trajectory and map out."""
+"""``incremental_mapper map``: a KAIST folder or a bag in, graph, trajectory and map out.
+
+What a run needs is imported when there is one: the help should not wait for it.
+"""
 
 import argparse
 import sys
+import time
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from tqdm import tqdm
-
-from incremental_mapper.checks.finding import Severity
 from incremental_mapper.cli import exit_status
-from incremental_mapper.cli.findings_text import print_findings
 from incremental_mapper.cli.inputs import add_input
-from incremental_mapper.config import Tree
-from incremental_mapper.results.offline_run import Stop, map_into, open_drive
-from incremental_mapper.results.run_folder import prepare_folder
-from incremental_mapper.results.summary import summary
-from incremental_mapper.selection.strategies import strategy_names
-from incremental_mapper.settings import merge, read_yaml
+
+if TYPE_CHECKING:
+    from incremental_mapper.config import Tree
+    from incremental_mapper.trajectory import Trajectory
+
+STRATEGIES = 'mom, base, min_time_shift, min_solver_error, fewest'
+"""The built-in ones, for the help."""
+TO_OPEN = ('report.html', 'map.png', 'map.ply')
+"""What to look at first; without the extra ``report`` there is the map alone."""
 
 
 def add_parser(subparsers: Any) -> None:
@@ -25,14 +28,17 @@ def add_parser(subparsers: Any) -> None:
         'map',
         description='Map a drive with LiDAR, and IMU and GNSS where there are any. Writes '
         'trajectory.tum, map.ply, graph.json, graph.g2o, windows.csv, candidates.parquet, '
-        'stats.json and pictures. Ctrl-C stops early and writes what has been mapped so far.',
+        'stats.json, pictures and report.html. Ctrl-C stops early and writes what has been mapped '
+        'so far.',
     )
     add_input(parser)
     parser.add_argument('out_dir', type=Path, metavar='OUT_DIR', help='folder to write into')
     parser.add_argument(
         '--strategy',
-        choices=strategy_names(),
-        help='which graph a window keeps (default: what the settings say, else mom)',
+        type=_strategy,
+        metavar='NAME',
+        help=f'which graph a window keeps: {STRATEGIES}, or one of another package (default: what '
+        'the settings say, else mom)',
     )
     parser.add_argument(
         '--config', type=Path, metavar='YAML', help='settings, or a ROS parameter file'
@@ -51,34 +57,81 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         '--force', action='store_true', help='write into OUT_DIR although it is not empty'
     )
+    parser.add_argument('--verbose', action='store_true', help='print all numbers of the run')
     parser.set_defaults(func=run)
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the command; raises MapperError where input, settings or output cannot be used."""
+    started = time.perf_counter()
+    from incremental_mapper.checks.finding import Severity
+    from incremental_mapper.cli.findings_text import print_findings
+    from incremental_mapper.cli.progress import Progress
+    from incremental_mapper.results.offline_run import Stop, map_into, open_drive
+    from incremental_mapper.results.run_folder import prepare_folder
+    from incremental_mapper.results.summary import brief, summary
+
+    drive = open_drive(args.input, _settings(args), str(args.config or 'settings'), args.truth)
+    prepare_folder(args.out_dir, args.force)
+    for note in drive.all_notes():
+        print(f'note: {note}', file=sys.stderr)
+    stop = Stop()
+    with stop.listening(), Progress(drive.source.info.count) as progress:
+        done, remarks = map_into(args.out_dir, drive, progress.read, stop, progress.stage)
+        progress.stage('report')
+        _write_report(args.out_dir, drive.truth)
+    found = [note for note in done.statistics.input.notes if note not in drive.all_notes()]
+    for remark in (*found, *remarks):
+        print(f'note: {remark}', file=sys.stderr)
+    tree = done.statistics.to_tree()
+    if args.verbose:
+        print(summary(tree))
+    print(brief(tree, time.perf_counter() - started))
+    warnings = done.statistics.warnings
+    sys.stdout.flush()  # the findings come after the numbers, the worst last
+    print_findings(warnings)
+    failed = any(finding.severity is Severity.ERROR for finding in warnings)
+    print(_where(args.out_dir, failed))
+    if done.statistics.interrupted:
+        return exit_status.INTERRUPTED
+    return exit_status.FAILURE if failed else 0
+
+
+def _settings(args: argparse.Namespace) -> 'Tree':
+    from incremental_mapper.settings import merge, read_yaml
+
     tree: Tree = {} if args.config is None else read_yaml(args.config)
     chosen: Tree = {}
     if args.strategy is not None:
         chosen['strategy'] = args.strategy
     if args.verify:
         chosen['verify'] = True
-    tree = merge(tree, {'selection': chosen} if chosen else {})
-    drive = open_drive(args.input, tree, str(args.config or 'settings'), args.truth)
-    prepare_folder(args.out_dir, args.force)
-    info = drive.source.info
-    for note in drive.all_notes():
-        print(f'note: {note}', file=sys.stderr)
-    stop = Stop()
-    with stop.listening(), tqdm(total=info.count, unit='msg', desc='map', disable=None) as bar:
-        done, remarks = map_into(args.out_dir, drive, bar.update, stop)
-    found = [note for note in done.statistics.input.notes if note not in drive.all_notes()]
-    for remark in (*found, *remarks):
-        print(f'note: {remark}', file=sys.stderr)
-    print(summary(done.statistics.to_tree()))
-    warnings = done.statistics.warnings
-    sys.stdout.flush()  # the findings come last, where the eye rests
-    print_findings(warnings)
-    if done.statistics.interrupted:
-        return exit_status.INTERRUPTED
-    failed = any(finding.severity is Severity.ERROR for finding in warnings)
-    return exit_status.FAILURE if failed else 0
+    return merge(tree, {'selection': chosen} if chosen else {})
+
+
+def _strategy(name: str) -> str:
+    """A name that is installed; others are wrong usage."""
+    from incremental_mapper.selection.strategies import strategy_names
+
+    known = strategy_names()
+    if name not in known:
+        raise argparse.ArgumentTypeError(f'{name!r} is none of {", ".join(known)}')
+    return name
+
+
+def _write_report(folder: Path, truth: 'Trajectory | None') -> None:
+    """Write the page of the run where its libraries are installed."""
+    from incremental_mapper.visualization.extras import importable
+
+    if not (importable('report.html') and importable('pictures')):
+        return
+    from incremental_mapper.evaluation.report.run_page import write_run_report
+
+    write_run_report(folder, truth)
+
+
+def _where(folder: Path, failed: bool) -> str:
+    """Where everything is, and what to look at first."""
+    first = next((folder / name for name in TO_OPEN if (folder / name).is_file()), folder)
+    text = f'written to {folder}; open {first}'
+    return f'{text}; the map is not to be trusted, see above' if failed else text

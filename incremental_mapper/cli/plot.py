@@ -83,7 +83,7 @@ def _plot_map(args: argparse.Namespace) -> int:
     run, out = _opened(args, 'map_side.png' if args.side else 'map.png')
     look = replace(WIDE if args.side else WHOLE, theme=THEMES[args.theme])
     draw = draw_map_side if args.side else draw_map
-    draw(out, run.points, run.trajectory, look)
+    draw(out, run.points, run.trajectory, look, run.georeferenced)
     return _told(out)
 
 
@@ -93,7 +93,7 @@ def _plot_trajectory(args: argparse.Namespace) -> int:
     file = args.truth or next((path for path in beside if path.is_file()), None)
     truth = None if file is None else read_truth(file)
     look = replace(WHOLE, theme=THEMES[args.theme])
-    draw_trajectory(out, run.trajectory, truth, run.fixes, look)
+    draw_trajectory(out, run.trajectory, truth, run.fixes, look, run.georeferenced)
     return _told(out)
 
 

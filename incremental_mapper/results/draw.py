@@ -42,7 +42,7 @@ def draw_folder(folder: Path) -> str | None:
         # Beside their names first; the folder is hidden, and on the same disk.
         scratch = Path(tempfile.mkdtemp(prefix='.pictures.', dir=folder))
         try:
-            draw_run(scratch, run.trajectory, None, run.fixes, points, run.graph)
+            draw_run(scratch, run.trajectory, None, run.fixes, points, run.graph, run.georeferenced)
             for picture in sorted(scratch.iterdir()):
                 picture.replace(folder / picture.name)
         finally:

@@ -89,6 +89,10 @@ class Run:
         return self.cloud[:, :3]
 
 
+def _nobody(_what: str) -> None:
+    """Is told what comes next where nobody wants to know."""
+
+
 class MendError(Exception):
     """Ends a run whose data proved a setting wrong: it begins anew with those of ``findings``."""
 
@@ -184,6 +188,7 @@ def map_into(
     drive: Drive,
     progress: Callable[[int], Any] | None = None,
     stop: Stop | None = None,
+    stage: Callable[[str], object] = _nobody,
 ) -> tuple[Run, list[str]]:
     """Map a drive and write all its files, pictures included.
 
@@ -192,6 +197,7 @@ def map_into(
         drive: What ``open_drive`` gave.
         progress: See ``map_source``.
         stop: See ``map_source``.
+        stage: Called with what comes next, once the input has been read.
 
     Returns:
         The run, and remarks on files that could not be made, one line each.
@@ -210,11 +216,12 @@ def map_into(
             candidate_recorder(folder / FILE_NAME) as record,
             _journaling(drive) as journal,
         ):
-            run = _map_once(drive, progress, stop, record, may_mend, journal)
+            run = _map_once(drive, progress, stop, record, may_mend, journal, stage)
         journals.extend([] if journal is None else [journal])
         return run
 
     run = _mending(drive, attempt)
+    stage('write')
     try:
         write_result(folder, run.result, run.map, run.statistics.to_tree())
     except OutputError as error:
@@ -225,6 +232,7 @@ def map_into(
         raise OutputError(f'{error}{kept}') from error
     for journal in journals:
         journal.remove()
+    stage('pictures')
     draw_result(folder, run.result, run.points, drive.truth)
     missing = left_out((FILE_NAME, 'pictures'))
     return run, [] if missing is None else [missing]
@@ -349,6 +357,7 @@ def _map_once(
     observe: Callable[[WindowResult], object] | None = None,
     may_mend: bool = False,
     journal: Journal | None = None,
+    stage: Callable[[str], object] = _nobody,
 ) -> Run:
     """As ``map_source``; raises MendError, if it may, where the data prove a setting wrong."""
     source, config, truth = drive.source, drive.config, drive.truth
@@ -377,14 +386,17 @@ def _map_once(
             if stop is not None and stop.wanted:
                 interrupted = True
                 break
+        stage('last windows')
         tell(mapper.flush())
         if may_mend and mapper.mend:
             raise MendError(mapper.mended)
+        stage('final solve')
         result = mapper.result()
     if not result.clusters:
         if interrupted:
             raise KeyboardInterrupt
         raise _nothing_used(source)
+    stage('map')
     cloud = result.cloud(config.map)
     errors = None if truth is None else trajectory_errors(result.trajectory, truth)
     info = source.info

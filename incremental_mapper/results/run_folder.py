@@ -53,6 +53,7 @@ EXTRA_FILES = (
     'map.png',
     'map_side.png',
     'graph.png',
+    'report.html',
     'map_quality.json',
     'finished.json',
 )
@@ -150,7 +151,8 @@ def draw_result(
         OutputError: A file cannot be written.
     """
     graph = graph_tree(result.clusters, result.factors, result.values)
-    draw_run(folder, result.trajectory, truth, result.fixes, points, graph)
+    place = result.statistics.georeferenced
+    draw_run(folder, result.trajectory, truth, result.fixes, points, graph, place)
 
 
 @dataclass(frozen=True)
@@ -204,6 +206,11 @@ class FinishedRun:
     def map(self) -> MapFile:
         """The map, whose points are read when they are asked for."""
         return MapFile(self._path(MAP))
+
+    @property
+    def georeferenced(self) -> bool:
+        """Whether x is east and y north."""
+        return bool(self.stats.get('georeferenced', False))
 
     @cached_property
     def fixes(self) -> NDArray[np.float64]:

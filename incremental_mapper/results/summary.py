@@ -1,7 +1,41 @@
-"""The main numbers of a run as ``map`` prints them."""
+"""The main numbers of a run as ``map`` prints them: those that everybody wants, or all."""
 
 from collections.abc import Mapping
 from typing import Any
+
+
+def brief(stats: Mapping[str, Any], seconds: float) -> str:
+    """What a user wants to know of a run, one a line, aligned.
+
+    Args:
+        stats: The keys of ``stats.json``.
+        seconds: How long all of it took, reading, drawing and writing included.
+    """
+    connected = stats['components'] == 1
+    rows = [
+        (
+            'drive',
+            f'{stats["drive_s"]:.1f} s, done in {seconds:.1f} s; mapping alone took '
+            f'{stats["wall_s"]:.1f} s, real-time factor {stats["real_time_factor"]:.1f}',
+        ),
+        (
+            'graph',
+            f'{_against(stats, "vertices", "variables")}'
+            + ('' if connected else f'; in {stats["components"]} parts that nothing connects')
+            + _bridges(stats),
+        ),
+    ]
+    if 'ate_rmse_m' in stats:
+        rows.append(
+            (
+                'accuracy',
+                f'ATE {stats["ate_rmse_m"]:.4f} m, RPE per second '
+                f'{_metres(stats["rpe_per_second_translation_rmse_m"])}',
+            )
+        )
+    place = '' if stats['georeferenced'] else ', not georeferenced: in a frame of its own'
+    rows.append(('map', f'{stats["map_points"]} points{place}'))
+    return _aligned(rows + _losses(stats))
 
 
 def summary(stats: Mapping[str, Any]) -> str:
@@ -65,13 +99,6 @@ def summary(stats: Mapping[str, Any]) -> str:
                 f'agree, direct takes {check["direct_over_fast"]:.0f} times as long',
             )
         )
-    dropped = [
-        f'{count} of {sensor} ({reason})'
-        for sensor, reasons in stats['dropped'].items()
-        for reason, count in reasons.items()
-    ]
-    if dropped:
-        rows.append(('not used', ', '.join(dropped)))
     if stats['standing_windows']:
         rows.append(
             (
@@ -80,11 +107,28 @@ def summary(stats: Mapping[str, Any]) -> str:
                 'measurements joined the pose before',
             )
         )
+    return _aligned(rows + _losses(stats))
+
+
+def _losses(stats: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """What is not in the map, and remarks: nobody is spared them."""
+    rows = []
+    dropped = [
+        f'{count} of {sensor} ({reason})'
+        for sensor, reasons in stats['dropped'].items()
+        for reason, count in reasons.items()
+    ]
+    if dropped:
+        rows.append(('not used', ', '.join(dropped)))
     if stats['failed_windows']:
         rows.append(('windows failed', f'{stats["failed_windows"]}, left out; the log says why'))
     rows += [('note', f'{text}: {count}x') for text, count in stats['notes'].items()]
     if stats['interrupted']:
         rows.append(('interrupted', 'the rest of the input was not read'))
+    return rows
+
+
+def _aligned(rows: list[tuple[str, str]]) -> str:
     width = max(len(name) for name, _ in rows)
     return '\n'.join(f'{name:<{width}}  {text}' for name, text in rows)
 
@@ -97,15 +141,20 @@ def _counts(counts: Mapping[str, int]) -> str:
     return ', '.join(f'{name} {count}x' for name, count in counts.items())
 
 
-def _against(stats: Mapping[str, Any], name: str) -> str:
+def _against(stats: Mapping[str, Any], name: str, called: str = '') -> str:
     percent = stats[f'compression_{name}_percent']
     word = 'fewer' if percent >= 0.0 else 'more'
-    return f'{stats[name]} ({abs(percent):.1f} % {word} than the {stats[f"base_{name}"]} of base)'
+    count = f'{stats[name]} {called}' if called else stats[name]
+    return f'{count} ({abs(percent):.1f} % {word} than the {stats[f"base_{name}"]} of base)'
 
 
 def _components(stats: Mapping[str, Any]) -> str:
-    count, bridges = stats['components'], stats['bridges']
+    count = stats['components']
     text = '1, the graph is connected' if count == 1 else f'{count}, the graph is not connected'
-    if not bridges:
-        return text
-    return f'{text}; {bridges} of {stats["clusters"]} poses by a bridge, which is a guess'
+    return text + _bridges(stats)
+
+
+def _bridges(stats: Mapping[str, Any]) -> str:
+    if not stats['bridges']:
+        return ''
+    return f'; {stats["bridges"]} of {stats["clusters"]} poses by a bridge, which is a guess'

@@ -9,7 +9,7 @@ import io
 import re
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from incremental_mapper.errors import OutputError
 
@@ -268,11 +268,12 @@ def plain(axes: 'Axes', look: Look) -> None:
         spine.set_color(theme.frame)
 
 
-def add_legend(axes: 'Axes', look: Look, place: Literal['best', 'upper right']) -> None:
-    """A legend over the data."""
+def add_legend(axes: 'Axes', look: Look) -> None:
+    """A legend in a row above the data, which it does not cover."""
     axes.legend(
-        loc=place, frameon=True, framealpha=0.9, edgecolor='none', facecolor=look.theme.ground,
-        labelcolor=look.theme.ink, fontsize=look.text - 1,
+        loc='lower left', bbox_to_anchor=(0.0, 1.0), ncols=9, borderaxespad=0.2, borderpad=0.2,
+        columnspacing=1.2, handletextpad=0.5, frameon=False, labelcolor=look.theme.ink,
+        fontsize=look.text - 1,
     )  # fmt: skip
 
 

@@ -1,10 +1,12 @@
 """Pictures of a trajectory and of a map, from above and from the side."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from incremental_mapper.geometry import transform_points
 from incremental_mapper.measurements import NANOSECONDS
@@ -26,7 +28,7 @@ from incremental_mapper.visualization.figure import (
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.colors import Colormap
+    from matplotlib.colors import Colormap, Normalize
     from matplotlib.figure import Figure
 
 DRAWN_POINTS_A_PIXEL = 1
@@ -34,7 +36,23 @@ DRAWN_POINTS_A_PIXEL = 1
 WIDE = Look(height=600)
 """The look of a map from the side."""
 SMALLEST = 10.0
-"""Metres that a picture shows at least."""
+"""Metres that a picture of a map shows at least."""
+SMALLEST_PATH = 0.6
+"""Metres that a picture of a trajectory shows at least: a standing car's fixes are worth a look."""
+AT_REST = 0.5
+"""Metres; a vehicle whose poses all lie within so much of each other has not driven."""
+FLATTEST, TALLEST = 0.375, 0.75
+"""Heights of pictures, in their widths, between which they take the shape of what they show."""
+NARROWEST = 0.55
+"""Of its width that a picture keeps where what it shows is taller than that."""
+EVENED = 0.6
+"""Share of the colours that follows the ranks of heights; the rest follows the heights."""
+STEPS = 256
+"""Colours of heights."""
+NO_BAR, BAR = (128, 76), (256, 142)
+"""Pixels beside the axes, with a heading and without; and where a bar of colours stands there."""
+HEADED, UNHEADED = 166, 84
+"""Pixels above and below the axes, with a heading and without."""
 
 
 def draw_trajectory(
@@ -43,6 +61,7 @@ def draw_trajectory(
     truth: Trajectory | None,
     fixes: NDArray[np.float64],
     look: Look = WHOLE,
+    georeferenced: bool = False,
 ) -> None:
     """Draw the trajectory from above, over the truth and the GNSS positions that were used.
 
@@ -52,29 +71,35 @@ def draw_trajectory(
         truth: True poses. They may have a map frame of their own: the part that the estimate
             covers is moved by the rigid transform that fits best.
         fixes: Antenna positions (K, 3) in metres, in the map frame of the estimate.
-        look: Colours and size.
+        look: Colours and width; the height follows what is shown.
+        georeferenced: Whether x is east and y north.
 
     Raises:
         OutputError: matplotlib is missing, or the file cannot be written.
     """
-    save(trajectory_figure(estimate, truth, fixes, look), path)
+    save(trajectory_figure(estimate, truth, fixes, look, georeferenced), path)
 
 
 def draw_map(
-    path: Path, points: NDArray[np.floating], estimate: Trajectory, look: Look = WHOLE
+    path: Path,
+    points: NDArray[np.floating],
+    estimate: Trajectory,
+    look: Look = WHOLE,
+    georeferenced: bool = False,
 ) -> None:
-    """Draw the map from above, coloured by height, with the trajectory over it.
+    """Draw the map from above, coloured by height over the way, with the trajectory over it.
 
     Args:
         path: A PNG, SVG or PDF, as the suffix says.
         points: The map (N, 3) in metres, in the map frame.
         estimate: T_map_base.
-        look: Colours and size.
+        look: Colours and width; the height follows what is shown.
+        georeferenced: Whether x is east and y north.
 
     Raises:
         OutputError: matplotlib is missing, or the file cannot be written.
     """
-    save(map_figure(points, estimate, look), path)
+    save(map_figure(points, estimate, look, georeferenced), path)
 
 
 def draw_map_side(
@@ -82,86 +107,133 @@ def draw_map_side(
     points: NDArray[np.floating],
     estimate: Trajectory,
     look: Look = WIDE,
+    georeferenced: bool = False,
 ) -> None:
     """Draw the map from the side, across the main direction of the drive; see ``draw_map``."""
-    save(side_figure(points, estimate, look), path)
+    save(side_figure(points, estimate, look, georeferenced), path)
 
 
 def trajectory_figure(
-    estimate: Trajectory, truth: Trajectory | None, fixes: NDArray[np.float64], look: Look
+    estimate: Trajectory,
+    truth: Trajectory | None,
+    fixes: NDArray[np.float64],
+    look: Look,
+    georeferenced: bool = False,
 ) -> 'Figure':
     """The figure that ``draw_trajectory`` saves."""
+    reference = np.zeros((0, 3)) if truth is None else _aligned_truth(estimate, truth)
+    shown = np.concatenate([estimate.positions, reference, fixes.reshape(-1, 3)])[:, :2]
+    look = _fitted(look, shown, SMALLEST_PATH, NO_BAR)
     theme, figure = look.theme, new_figure(look)
     axes = figure.add_axes(_place(look))
-    shown = [estimate.positions]
-    if truth is not None:
-        reference = _aligned_truth(estimate, truth)
-        if len(reference) > 0:
-            shown.append(reference)
-            axes.plot(
-                reference[:, 0], reference[:, 1], color=theme.truth, linewidth=7, label='truth'
-            )
+    if len(reference) > 0:
+        axes.plot(reference[:, 0], reference[:, 1], color=theme.truth, linewidth=7, label='truth')
     if len(fixes) > 0:
         axes.scatter(
             fixes[:, 0], fixes[:, 1], s=50, marker='x', color=theme.vermillion, linewidths=1.8,
             zorder=5, label=f'GNSS positions used ({len(fixes)})',
         )  # fmt: skip
-        shown.append(fixes)
     label = f'estimate ({len(estimate)} poses)'
     _draw_path(axes, estimate.positions, look, theme.blue, label, halo=0.0)
-    _fill(axes, np.concatenate(shown)[:, :2], SMALLEST)
-    title(figure, 'Trajectory from above', _describe(estimate), look)
-    _label(axes, look, 'x in m', 'y in m')
+    _fill(axes, shown, SMALLEST_PATH)
+    title(figure, 'Trajectory from above', _describe(estimate, fixes), look)
+    _label(axes, look, *_plane(georeferenced))
     if len(estimate) > 0 or len(fixes) > 0:
-        add_legend(axes, look, 'best')
+        add_legend(axes, look)
     return figure
 
 
-def map_figure(points: NDArray[np.floating], estimate: Trajectory, look: Look) -> 'Figure':
+def map_figure(
+    points: NDArray[np.floating], estimate: Trajectory, look: Look, georeferenced: bool = False
+) -> 'Figure':
     """The figure that ``draw_map`` saves."""
-    figure = new_figure(look)
-    axes = figure.add_axes(_place(look, right=160 if look.heading else 80))
     drawn = _thinned(points, look)
     drawn = drawn[np.argsort(drawn[:, 2], kind='stable')]  # roofs hide the ground, not reversed
     # A few stray returns must not shrink the street.
     inner = np.percentile(drawn[:, :2], [0.5, 99.5], axis=0) if len(drawn) > 0 else drawn[:, :2]
-    _fill(axes, np.concatenate([inner, estimate.positions[:, :2]]), SMALLEST)
-    _draw_points(axes, drawn[:, :2], drawn[:, 2], look)
+    shown = np.concatenate([inner, estimate.positions[:, :2]])
+    look = _fitted(look, shown, SMALLEST, BAR)
+    figure = new_figure(look)
+    axes = figure.add_axes(_place(look, bar=True))
+    _fill(axes, shown, SMALLEST)
+    _draw_points(axes, drawn[:, :2], _above_way(drawn, estimate), look)
     _draw_path(axes, estimate.positions, look, look.theme.vermillion, 'trajectory', halo=5.0)
     _add_scale(axes, look)
     title(figure, 'Map from above', f'{len(points):,} points'.replace(',', ' '), look)
-    _label(axes, look, 'x in m', 'y in m')
+    _label(axes, look, *_plane(georeferenced))
     if len(estimate) > 0:
-        add_legend(axes, look, 'upper right')
+        add_legend(axes, look)
     return figure
 
 
-def side_figure(points: NDArray[np.floating], estimate: Trajectory, look: Look) -> 'Figure':
+def side_figure(
+    points: NDArray[np.floating], estimate: Trajectory, look: Look, georeferenced: bool = False
+) -> 'Figure':
     """The figure that ``draw_map_side`` saves."""
     figure = new_figure(look)
-    axes = figure.add_axes(_place(look, right=160 if look.heading else 80))
+    axes = figure.add_axes(_place(look, bar=True))
     drawn = _thinned(points, look)
     along = _main_direction(estimate.positions if len(estimate) > 1 else drawn)
     flat = np.stack([drawn[:, :2] @ along, drawn[:, 2]], axis=1)
     path = np.stack([estimate.positions[:, :2] @ along, estimate.positions[:, 2]], axis=1)
     inner = np.percentile(flat, [0.2, 99.8], axis=0) if len(flat) > 0 else flat
     stretch = _fill_stretched(axes, np.concatenate([inner, path]))
-    _draw_points(axes, flat, drawn[:, 2], look)
+    _draw_points(axes, flat, _above_way(drawn, estimate), look)
     _draw_path(axes, path, look, look.theme.vermillion, 'trajectory', halo=5.0)
-    heading = np.degrees(np.arctan2(along[1], along[0]))
-    facts = f'along {heading:.0f} degrees from x'
+    turn = np.degrees(np.arctan2(along[1], along[0]))
+    towards = f'{round(90.0 - turn) % 360}° from north' if georeferenced else f'{turn:.0f}° from x'
+    facts = f'projected onto a line at {towards}'
     if stretch > 1:
         facts += f', heights drawn {stretch} times as large'
     title(figure, 'Map from the side', facts, look)
     times = f' (drawn {stretch}×)' if stretch > 1 else ''
-    _label(axes, look, 'm along the drive', f'z in m{times}')
+    height = 'height in the map, m' if georeferenced else 'z, m'
+    _label(axes, look, f'projected onto a line at {towards}, m', f'{height}{times}')
     return figure
 
 
-def _place(look: Look, right: int = 32) -> tuple[float, float, float, float]:
+def _plane(georeferenced: bool) -> tuple[str, str]:
+    """What the axes of a picture from above are."""
+    return ('east, m', 'north, m') if georeferenced else ('x, m', 'y, m')
+
+
+def _above_way(points: NDArray[np.float64], estimate: Trajectory) -> NDArray[np.float64]:
+    """Heights (N,) over the nearest pose, metres: a street that climbs keeps its colour."""
+    heights: NDArray[np.float64] = points[:, 2]
+    if len(estimate) == 0 or len(points) == 0:
+        return heights
+    _, nearest = cKDTree(estimate.positions[:, :2]).query(points[:, :2], workers=-1)
+    return np.asarray(heights - estimate.positions[nearest, 2], dtype=np.float64)
+
+
+def _fitted(
+    look: Look, shown: NDArray[np.float64], smallest: float, sides: tuple[int, int]
+) -> Look:
+    """The look with the height that what is shown (N, 2) asks for, within limits.
+
+    ``sides`` are the pixels beside the axes, with a heading and without.
+    """
+    extent = _extent(shown, smallest)[1]
+    beside = sides[0] if look.heading else sides[1]
+    above = HEADED if look.heading else UNHEADED
+    wanted = (look.width - beside) * extent[1] / extent[0] + above
+    height = float(np.clip(wanted, FLATTEST * look.width, TALLEST * look.width))
+    # What is taller still gets a narrower picture, rather than two white sides.
+    width = float((height - above) * extent[0] / extent[1] + beside)
+    if not look.heading:  # a page gives all its pictures the same width
+        width = look.width
+    return replace(
+        look,
+        width=round(float(np.clip(width, NARROWEST * look.width, look.width))),
+        height=round(height),
+    )
+
+
+def _place(look: Look, bar: bool = False) -> tuple[float, float, float, float]:
+    beside = (BAR if bar else NO_BAR)[0 if look.heading else 1]
     if look.heading:
-        return box(look, 96, 72, right, 90)
-    return box(look, 62, 52, max(right, 14) if right != 32 else 14, 12)
+        return box(look, 96, 72, beside - 96, HEADED - 72)
+    return box(look, 62, 52, beside - 62, UNHEADED - 52)
 
 
 def _aligned_truth(estimate: Trajectory, truth: Trajectory) -> NDArray[np.float64]:
@@ -195,10 +267,8 @@ def _draw_points(
 ) -> None:
     """Points (N, 2) coloured by their heights (N,), and what the colours say beside them."""
     from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import Normalize
 
-    low, high = np.percentile(heights, [2.0, 98.0]) if len(heights) > 0 else (0.0, 1.0)
-    norm, colours = Normalize(low, max(high, low + 0.1)), _height_colours(look)
+    norm, colours = _evened(heights), _height_colours(look)
     size, alpha = _mark(axes, flat)
     axes.scatter(
         flat[:, 0], flat[:, 1], c=heights, s=size, alpha=alpha, linewidths=0, marker='o',
@@ -215,7 +285,41 @@ def _draw_points(
     )  # fmt: skip
     bar.outline.set_edgecolor(look.theme.frame)
     bar.ax.tick_params(colors=look.theme.muted, labelsize=look.text - 1, length=3)
-    bar.set_label('height in m', fontsize=look.text, color=look.theme.ink)
+    bar.ax.set_yticks(_bar_ticks(norm))
+    bar.ax.minorticks_off()
+    bar.set_label('height above the way, m', fontsize=look.text, color=look.theme.ink)
+
+
+def _evened(heights: NDArray[np.float64]) -> 'Normalize':
+    """Colours for heights (N,): partly by rank, so that a few tall houses leave some for streets.
+
+    By rank alone a flat road would have all colours for its last centimetres.
+    """
+    from matplotlib.colors import FuncNorm
+
+    low, high = np.percentile(heights, [1.0, 99.0]) if len(heights) > 0 else (0.0, 1.0)
+    edges = np.linspace(low, max(high, low + 0.1), STEPS)
+    even = np.linspace(0.0, 1.0, STEPS)
+    ranks = np.searchsorted(np.sort(heights), edges) / max(len(heights), 1)
+    ranks = (ranks - ranks[0]) / max(ranks[-1] - ranks[0], 1e-9)
+    shares = EVENED * ranks + (1.0 - EVENED) * even
+    shares /= shares[-1]
+    return FuncNorm(
+        (lambda h: np.interp(h, edges, shares), lambda s: np.interp(s, shares, edges)),
+        vmin=float(edges[0]), vmax=float(edges[-1]),
+    )  # fmt: skip
+
+
+def _bar_ticks(norm: 'Normalize') -> list[float]:
+    """Round heights that stand apart on a bar whose steps are not even."""
+    low, high = float(norm.vmin or 0.0), float(norm.vmax or 1.0)
+    step = next(step for step in (0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 1e3)
+                if (high - low) / step <= 12)  # fmt: skip
+    ticks: list[float] = []
+    for height in np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step:
+        if not ticks or norm(height) - norm(ticks[-1]) > 0.055:
+            ticks.append(float(round(height, 2)))
+    return ticks
 
 
 def _draw_path(
@@ -237,24 +341,39 @@ def _draw_path(
         )  # fmt: skip
 
 
-def _describe(estimate: Trajectory) -> str:
+def _describe(estimate: Trajectory, fixes: NDArray[np.float64]) -> str:
     if len(estimate) == 0:
         return 'no pose'
+    spread = _spread(estimate.positions)
+    if spread < AT_REST:
+        near = f', {len(fixes)} fixes within {_spread(fixes):.3f} m' if len(fixes) > 0 else ''
+        return f'at rest: {len(estimate)} poses within {spread:.3f} m{near}'
     length = float(np.linalg.norm(np.diff(estimate.positions, axis=0), axis=1).sum())
     seconds = (int(estimate.stamps[-1]) - int(estimate.stamps[0])) / NANOSECONDS
     return f'{length:.1f} m in {seconds:.1f} s'
 
 
-def _fill(axes: 'Axes', shown: NDArray[np.float64], smallest: float) -> None:
-    """Set limits that hold ``shown`` (N, 2), fill the axes and have one scale in x and y."""
+def _spread(positions: NDArray[np.float64]) -> float:
+    """Length of the diagonal of the box, in the plane, that positions (N, 3) lie in."""
+    return float(np.linalg.norm(np.ptp(positions[:, :2], axis=0)))
+
+
+def _extent(
+    shown: NDArray[np.float64], smallest: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Middle and size (2,) of a picture that holds ``shown`` (N, 2) with a margin."""
     low, high = np.zeros(2), np.zeros(2)
     if len(shown) > 0:
         low, high = shown.min(axis=0), shown.max(axis=0)
+    return (low + high) / 2, np.maximum(high - low, smallest) * 1.08
+
+
+def _fill(axes: 'Axes', shown: NDArray[np.float64], smallest: float) -> None:
+    """Set limits that hold ``shown`` (N, 2), fill the axes and have one scale in x and y."""
+    centre, extent = _extent(shown, smallest)
     width, height = axes_pixels(axes)
     ratio = width / height
-    extent = np.maximum(high - low, smallest) * 1.08
     extent = np.array([max(extent[0], extent[1] * ratio), max(extent[1], extent[0] / ratio)])
-    centre = (low + high) / 2
     axes.set_xlim(centre[0] - extent[0] / 2, centre[0] + extent[0] / 2)
     axes.set_ylim(centre[1] - extent[1] / 2, centre[1] + extent[1] / 2)
     axes.set_aspect('equal', adjustable='box')

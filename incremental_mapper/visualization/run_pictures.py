@@ -21,6 +21,7 @@ def draw_run(
     fixes: NDArray[np.float64],
     points: NDArray[np.float32],
     graph: Mapping[str, Any],
+    georeferenced: bool = False,
 ) -> None:
     """Write ``trajectory.png``, ``map.png`` and ``graph.png``, where matplotlib is installed.
 
@@ -31,12 +32,14 @@ def draw_run(
         fixes: Antenna positions (K, 3) that were used, metres in the map.
         points: The map (N, 3) in metres.
         graph: The layout of ``graph.json``.
+        georeferenced: Whether x is east and y north.
 
     Raises:
         OutputError: A file cannot be written.
     """
     if not importable('pictures'):
         return
-    draw_trajectory(folder / 'trajectory.png', trajectory, truth, fixes)
-    draw_map(folder / 'map.png', points, trajectory)
+    place = georeferenced
+    draw_trajectory(folder / 'trajectory.png', trajectory, truth, fixes, georeferenced=place)
+    draw_map(folder / 'map.png', points, trajectory, georeferenced=place)
     draw_graph(folder / 'graph.png', graph, *typical_stretch(graph, GRAPH_SECONDS))

@@ -19,6 +19,7 @@ pytest.importorskip('jinja2', reason='jinja2 is not installed (extra "report")')
 from incremental_mapper.evaluation.report.charts import trade_figure  # noqa: E402
 from incremental_mapper.evaluation.report.drawings import FLAT, trade_picture  # noqa: E402
 from incremental_mapper.evaluation.report.page import write_report  # noqa: E402
+from incremental_mapper.evaluation.report.run_page import write_run_report  # noqa: E402
 
 BROWSERS = ('chromium', 'chromium-browser', 'google-chrome', 'google-chrome-stable')
 PICTURES = 6
@@ -144,7 +145,9 @@ def test_numbers_are_those_of_the_record(evaluation):
             if name in rows:
                 assert rows[name].text(value) in text, name
     saving = done[1]['metrics']['compression_vertices_percent']
-    assert f'mom keeps {saving:.1f} % fewer variables than base.' in text
+    assert (
+        f'mom keeps {saving:.1f} % fewer variables than base; its drift over a second is ' in text
+    )
     for word in (*record['versions'].values(), record['command'], record['created']):
         assert ' '.join(word.split()) in text
 
@@ -380,3 +383,62 @@ def test_two_strategies_or_no_truth_make_no_chart_of_the_trade():
     assert trade_picture(entries_of({'base': (0, 0.1), 'mom': (30, 0.1)}), ('base', 'mom')) is None
     blind = {'base': (0, None), 'mom': (30, None), 'fewest': (50, None)}
     assert trade_picture(entries_of(blind), tuple(blind)) is None
+
+
+def test_table_is_read_at_the_width_of_a_telephone(browser, evaluation):
+    """Names scrolled out of sight with the numbers, and drives took the room of both."""
+    page = browser.new_page(viewport={'width': 400, 'height': 900})
+    page.goto((evaluation / 'report.html').as_uri())
+    table = page.locator('.scroll').first
+    name = table.locator('tbody th[scope="row"]').first
+    before = name.bounding_box()
+    assert table.evaluate('e => e.scrollWidth > e.clientWidth')
+    table.evaluate('e => { e.scrollLeft = 300; }')
+    assert name.bounding_box()['x'] == pytest.approx(before['x'], abs=12)
+    assert table.locator('tr.narrow').first.is_visible()
+    assert not table.locator('thead .drive-name').is_visible()
+    page.close()
+
+
+def test_no_column_is_cut_off_at_1200_pixels(browser, evaluation):
+    page = browser.new_page(viewport={'width': 1200, 'height': 900})
+    page.goto((evaluation / 'report.html').as_uri())
+    tables = page.evaluate(
+        "[...document.querySelectorAll('.scroll')].map(e => e.scrollWidth - e.clientWidth)"
+    )
+    assert tables and max(tables) <= 0
+    page.close()
+
+
+def test_page_of_a_run_stands_alone(evaluation, tmp_path):
+    folder = shutil.copytree(evaluation / 'light' / 'mom', tmp_path / 'copy')
+    write_run_report(folder)
+    text = page_of(folder)
+    page, stats = Tags(text), json.loads((folder / 'stats.json').read_text(encoding='utf-8'))
+    assert page.named('script') == [] and page.named('link') == []
+    assert re.findall(r'url\((?!#|&)[^)]*\)|@import', text) == []
+    links = [v for _, attrs in page.tags for k, v in attrs.items() if k in ('src', 'xlink:href')]
+    assert links and all(link.startswith(('#', 'data:image/')) for link in links)
+    names = Counter(attrs['id'] for _, attrs in page.tags if 'id' in attrs)
+    assert max(names.values()) == 1
+    assert len(page.named('svg')) == 5
+    for number in (stats['vertices'], stats['base_vertices'], f'{stats["ate_rmse_m"]:.4f} m'):
+        assert str(number) in page.text
+    assert 'is not to be trusted' not in page.text
+
+
+def test_page_of_a_run_leads_with_what_is_wrong(evaluation, tmp_path):
+    copy = shutil.copytree(evaluation / 'light' / 'mom', tmp_path / 'copy')
+    stats = json.loads((copy / 'stats.json').read_text(encoding='utf-8'))
+    finding = {
+        'rule': 'x',
+        'severity': 'error',
+        'sensor': 'gnss',
+        'text': 'is <off>',
+        'remedy': 'y',
+    }
+    (copy / 'stats.json').write_text(json.dumps(stats | {'warnings': [finding]}))
+    write_run_report(copy)
+    text = Tags(page_of(copy)).text
+    assert 'This map is not to be trusted' in text and 'error, gnss: is <off>; y' in text
+    assert '<off>' not in page_of(copy).replace('&lt;off&gt;', '')

@@ -2,7 +2,7 @@
 
 import pytest
 
-from incremental_mapper.results.summary import summary
+from incremental_mapper.results.summary import brief, summary
 
 
 @pytest.fixture
@@ -45,3 +45,27 @@ def test_a_vehicle_that_stood_is_told(stats):
     assert row(stood, 'at rest').endswith(
         '82 windows, whose 171 measurements joined the pose before'
     )
+
+
+def test_brief_says_what_everybody_wants_to_know(stats):
+    short = brief(stats, 12.34)
+    assert f'done in 12.3 s; mapping alone took {stats["wall_s"]:.1f} s' in row(short, 'drive')
+    assert row(short, 'graph').endswith('of base)') and 'variables' in row(short, 'graph')
+    assert f'ATE {stats["ate_rmse_m"]:.4f} m' in row(short, 'accuracy')
+    assert 'not georeferenced' in row(brief(stats | {'georeferenced': False}, 1.0), 'map')
+    for inside in ('solver error', 'candidates', 'a window', 'score'):
+        assert inside not in short and inside in summary(stats)
+
+
+def test_brief_spares_nobody_what_is_missing(stats):
+    losses = {
+        'components': 3,
+        'bridges': 2,
+        'dropped': {'left': {'truncated': 4}},
+        'failed_windows': 1,
+        'interrupted': True,
+    }
+    short = brief(stats | losses, 1.0)
+    assert 'in 3 parts that nothing connects' in short and 'by a bridge, which is a guess' in short
+    assert row(short, 'not used').endswith('4 of left (truncated)')
+    assert row(short, 'windows failed') and row(short, 'interrupted')

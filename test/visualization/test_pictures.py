@@ -12,7 +12,6 @@ from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.trajectory import Trajectory
 from incremental_mapper.visualization.figure import (
     DARK,
-    HEIGHT_PX,
     LIGHT,
     PAGE,
     WIDTH_PX,
@@ -27,7 +26,9 @@ from incremental_mapper.visualization.pictures import (
     draw_map,
     draw_map_side,
     draw_trajectory,
+    map_figure,
     side_figure,
+    trajectory_figure,
 )
 
 REASON = 'matplotlib is not installed; pictures need the extra "report"'
@@ -99,7 +100,8 @@ def two_chains(clusters: int = 30) -> dict[str, Any]:
 
 def check_picture(path: Path, least_variance: float = 1e-3) -> None:
     pixels = image.imread(path)
-    assert pixels.shape[:2] == (HEIGHT_PX, WIDTH_PX)
+    height, width = pixels.shape[:2]
+    assert 0.5 * WIDTH_PX < width <= WIDTH_PX and 600 <= height <= 0.75 * WIDTH_PX
     assert pixels[..., :3].var() > least_variance
 
 
@@ -199,11 +201,76 @@ def test_side_of_a_long_drive_is_stretched(tmp_path: Path) -> None:
     assert pixels[..., :3].var() > 1e-2
 
 
+@pytest.mark.parametrize('turn', [0, 1], ids=['wide', 'tall'])
+@pytest.mark.parametrize('page', [False, True])
+def test_canvas_has_the_shape_of_the_drive(turn: int, page: bool) -> None:
+    """A fixed shape left half of a picture white."""
+    shape = np.array([[0.0, 0.0, 0.0], [120.0, 84.0, 0.0]])
+    path = Trajectory(drive(2).stamps, shape[:, [turn, 1 - turn, 2]], drive(2).quaternions)
+    figure = trajectory_figure(path, None, NO_FIXES, Look(width=1000, heading=not page))
+    axes = figure.axes[0]
+    width, height = axes_pixels(axes)
+    shown = np.array([np.ptp(axes.get_xlim()), np.ptp(axes.get_ylim())])
+    assert shown[0] / width == pytest.approx(shown[1] / height, rel=0.01)
+    used = np.ptp(path.positions[:, :2], axis=0) / shown
+    # Pages give all pictures one width, and bound the height.
+    assert used.max() > 0.9 and used.min() > (0.45 if page and turn else 0.85)
+
+
+def test_axes_are_east_and_north_where_the_map_is_georeferenced() -> None:
+    for known, wanted in ((True, ('east, m', 'north, m')), (False, ('x, m', 'y, m'))):
+        for figure in (
+            map_figure(street(), drive(), Look(), known),
+            trajectory_figure(drive(), None, NO_FIXES, Look(), known),
+        ):
+            axes = figure.axes[0]
+            assert (axes.get_xlabel(), axes.get_ylabel()) == wanted
+
+
+def test_side_says_what_it_is_projected_onto() -> None:
+    north = Trajectory(drive().stamps, drive().positions[:, [2, 0, 2]], drive().quaternions)
+    points = street()[:, [1, 0, 2]]
+    for known, words in ((True, ' 0° from north'), (False, '90° from x')):
+        label = side_figure(points, north, WIDE, known).axes[0].get_xlabel()
+        assert label.startswith('projected onto a line at') and words in label
+
+
+def test_a_standing_car_shows_its_fixes() -> None:
+    still = Trajectory(drive().stamps, drive().positions * 1e-5, drive().quaternions)
+    fixes = np.random.default_rng(1).normal(0.0, 0.02, (11, 3)) + [0.2, 0.1, 0.0]
+    figure = trajectory_figure(still, None, fixes, Look())
+    axes = figure.axes[0]
+    assert np.ptp(axes.get_ylim()) < 1.0
+    told = ' '.join(text.get_text() for text in figure.texts)
+    assert 'at rest: 50 poses within 0.000 m, 11 fixes within 0.' in told
+
+
+def test_few_tall_buildings_leave_colours_for_the_street() -> None:
+    """A kerb on a street with a tower: by height alone both had the colour of the road."""
+    road, kerb = street(9000) * [1, 1, 0.0], street(900) * [1, 1, 0.0] + [0, 0, 0.15]
+    tower = street(400) * [0.1, 0.1, 10.0]
+    points = np.concatenate([road, kerb, tower]).astype(np.float32)
+    points[:, 2] += np.random.default_rng(2).normal(0.0, 0.02, len(points)).astype(np.float32)
+    figure = map_figure(points, drive(), Look())
+    norm = figure.axes[0].collections[0].norm
+    assert norm(0.15) - norm(0.0) > 0.1
+    assert norm(55.0) - norm(30.0) > 0.1
+    assert norm(norm.inverse(0.37)) == pytest.approx(0.37, abs=1e-6)
+
+
+def test_a_street_that_climbs_keeps_its_colour() -> None:
+    slope = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.5, 0.0, 1.0]]).T
+    hill = Trajectory(drive().stamps, drive().positions @ slope.T, drive().quaternions)
+    flat = street() * [1, 1, 0.0]
+    drawn = map_figure(flat @ slope.T, hill, Look()).axes[0].collections[0].get_array()
+    assert np.ptp(drawn) < 2.0  # the street climbs by 20 m
+
+
 def test_side_of_a_short_drive_keeps_its_scale() -> None:
     axes = side_figure(street() * [0.1, 0.1, 1.0], drive(1), WIDE).axes[0]
     (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
     width, height = axes_pixels(axes)
-    assert axes.get_ylabel() == 'z in m'
+    assert axes.get_ylabel() == 'z, m'
     assert (right - left) / width == pytest.approx((top - bottom) / height)
 
 

@@ -116,6 +116,7 @@ def trade_figure(points: Mapping[str, tuple[float, float]], look: Look) -> 'Figu
 
 def _label(axes: 'Axes', points: Mapping[str, tuple[float, float]], look: Look) -> None:
     """Write each label beside its point, where no other label and no point is."""
+    axes.get_xlim(), axes.get_ylim()  # what it shows is settled when it is asked for
     spots = {label: axes.transData.transform(point) for label, point in points.items()}
     pixel = axes.figure.dpi / 72.0
     taken = [

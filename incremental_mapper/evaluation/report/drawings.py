@@ -1,14 +1,20 @@
 """The pictures of one drive, as SVG elements in the colours of the page."""
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from incremental_mapper.evaluation.record import RecordedSequence
-from incremental_mapper.evaluation.report.charts import progress_figure, trade_figure
+from incremental_mapper.evaluation.report.charts import (
+    progress_figure,
+    strategy_colours,
+    trade_figure,
+)
 from incremental_mapper.evaluation.table import BASE, Entry, mean_metrics
 from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.results.run_folder import FinishedRun
+from incremental_mapper.trajectory import Trajectory
 from incremental_mapper.visualization.figure import PAGE, Look, css_colour, svg_for_page
 from incremental_mapper.visualization.graph_legend import graph_legend
 from incremental_mapper.visualization.graph_picture import graph_figure
@@ -17,20 +23,27 @@ from incremental_mapper.visualization.pictures import map_figure, side_figure, t
 
 FEWEST_POINTS = 3
 """Strategies that make a trade; two are told in words."""
-GRAPH_SECONDS = 0.8
-"""Length of the stretch of graph that fits half of the page's width."""
+GRAPH_SECONDS = 1.2
+"""Length of the stretch of graph that fits the page's width, so that its numbers can be read."""
 EDGE = 50_000_000
 """Nanoseconds that a stretch may reach beyond the first and the last cluster."""
 TALL = Look(theme=PAGE, width=620, height=430, text=9.5, heading=False)
+BROAD = Look(theme=PAGE, width=1240, height=380, text=10.5, heading=False)
 FLAT = Look(theme=PAGE, width=620, height=330, text=9.5, heading=False)
 
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """An SVG element, and what is said under it."""
+    """An SVG element, what is said under it, and what of one strategy is headed by.
+
+    ``colour`` is that of the strategy in CSS. A ``wide`` one is scrolled where there is no room.
+    """
 
     svg: str
     caption: str
+    name: str = ''
+    colour: str = ''
+    wide: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,39 +71,60 @@ def sequence_pictures(
 
     ``number`` is the sequence's own in the page. Yields nothing where no run has finished.
     """
-    lead = sequence.lead
-    if lead is None:
-        return
-    run, truth = sequence.runs[lead], sequence.truth
+    if sequence.lead is not None:
+        yield from drive_pictures(
+            sequence.name, sequence.runs, sequence.lead, sequence.truth, strategies, number
+        )
+
+
+def drive_pictures(
+    name: str,
+    runs: Mapping[str, FinishedRun],
+    lead: str,
+    truth: Trajectory | None,
+    strategies: tuple[str, ...],
+    number: int,
+) -> Iterator[Picture]:
+    """As ``sequence_pictures``, of a drive's runs by strategy.
+
+    Args:
+        name: Of the drive.
+        runs: Its runs; pictures are of ``lead``, courses of all of them.
+        lead: The strategy that is shown.
+        truth: The true trajectory, where there is one.
+        strategies: All of the page, whose order gives the colours.
+        number: The drive's own in the page.
+    """
+    run = runs[lead]
     against = 'over the truth (grey)' if truth is not None else 'without truth to compare with'
     yield Picture(
         svg_for_page(
-            trajectory_figure(run.trajectory, truth, run.fixes, TALL),
+            trajectory_figure(run.trajectory, truth, run.fixes, TALL, run.georeferenced),
             f'path{number}',
-            f'Trajectory of {sequence.name} from above, {against}',
+            f'Trajectory of {name} from above, {against}',
         ),
         f'Trajectory of {lead} from above, {against}; crosses are GNSS positions.',
     )
     yield Picture(
         svg_for_page(
-            map_figure(run.points, run.trajectory, TALL),
+            map_figure(run.points, run.trajectory, TALL, run.georeferenced),
             f'map{number}',
-            f'Map of {sequence.name} from above, coloured by height',
+            f'Map of {name} from above, coloured by height above the way',
         ),
-        f'Map of {lead} from above: {len(run.points):,} points.'.replace(',', '\N{NO-BREAK SPACE}'),
+        f'Map of {lead} from above: {run.map.count:,} points.'.replace(',', '\N{NO-BREAK SPACE}'),
     )
-    figure, caption = progress_figure(dict(sequence.runs), lead, truth, strategies, FLAT)
+    figure, caption = progress_figure(runs, lead, truth, strategies, FLAT)
     if caption:
         yield Picture(
-            svg_for_page(figure, f'course{number}', f'{caption[:-1]}, for {sequence.name}'), caption
+            svg_for_page(figure, f'course{number}', f'{caption[:-1]}, for {name}'), caption
         )
     yield Picture(
         svg_for_page(
-            side_figure(run.points, run.trajectory, FLAT),
+            side_figure(run.points, run.trajectory, FLAT, run.georeferenced),
             f'side{number}',
-            f'Map of {sequence.name} from the side, coloured by height',
+            f'Map of {name} from the side, coloured by height above the way',
         ),
-        'The same map from the side.',
+        'The same map from the side, all of it projected onto one line.',
     )
 
 
@@ -123,14 +157,17 @@ def trade_picture(entries: Sequence[Entry], strategies: Sequence[str]) -> Pictur
     return Picture(svg_for_page(trade_figure(points, FLAT), 'trade', caption), said)
 
 
-def graph_stretches(sequence: RecordedSequence, number: int) -> Iterator[Stretch]:
+def graph_stretches(
+    sequence: RecordedSequence, strategies: tuple[str, ...], number: int
+) -> Iterator[Stretch]:
     """The graphs of base and of the lead: a typical stretch, and one where base is unconnected."""
     lead = sequence.lead
     if lead is None:
         return
     run = sequence.runs[lead]
     typical = run.stretch(GRAPH_SECONDS)
-    yield _stretch(sequence, lead, f'{number}a', 'The graph', typical)
+    names = (sequence.name, sequence.runs, strategies, lead)
+    yield graph_stretch(*names, f'{number}a', 'The graph', typical)
     unconnected = [] if BASE not in sequence.runs else _unconnected_stamps(sequence.runs[BASE])
     if unconnected:
         length, middle = typical[1] - typical[0], sum(typical) // 2
@@ -138,26 +175,48 @@ def graph_stretches(sequence: RecordedSequence, number: int) -> Iterator[Stretch
         latest = run.last_stamp + EDGE - length
         start = max(min(centre - length // 2, latest), run.first_stamp - EDGE)
         span = (start, start + length)
-        yield _stretch(sequence, lead, f'{number}b', 'Where base is not connected', span)
+        heading = 'Where base is not connected'
+        yield graph_stretch(*names, f'{number}b', heading, span)
 
 
-def _stretch(
-    sequence: RecordedSequence, lead: str, place: str, heading: str, span: tuple[int, int]
+def graph_stretch(
+    drive: str,
+    runs: Mapping[str, FinishedRun],
+    strategies: tuple[str, ...],
+    lead: str,
+    place: str,
+    heading: str,
+    span: tuple[int, int],
 ) -> Stretch:
-    origin = sequence.runs[lead].first_stamp
+    """The graphs of base and of ``lead``, those that there are, over one stretch of time.
+
+    ``drive``, ``runs``, ``strategies`` and ``lead`` are as in ``drive_pictures``; ``place`` tells
+    names in the page apart, and ``span`` is from and to, ns.
+    """
+    origin = runs[lead].first_stamp
+    colours = strategy_colours(strategies, PAGE)
     pictures = []
     for name in dict.fromkeys([BASE, lead]):
-        if name not in sequence.runs:
+        if name not in runs:
             continue
-        figure, shown = graph_figure(sequence.runs[name].graph, *span, TALL, origin)
+        figure, shown = graph_figure(runs[name].graph, *span, BROAD, origin)
         unconnected = f', {shown.unconnected} of them not connected' if shown.unconnected else ''
         counts = (
             f'{shown.clusters} clusters, {shown.variables} variables{unconnected}, '
             f'{shown.factors} factors'
         )
-        described = f'Factor graph of {name} on {sequence.name}: {counts}'
+        described = f'Factor graph of {name} on {drive}: {counts}'
         plain_name = f'graph{place}{_plain(name)}'
-        pictures.append(Picture(svg_for_page(figure, plain_name, described), f'{name}: {counts}.'))
+        what = 'the conventional graph' if name == BASE else 'the chosen graph'
+        pictures.append(
+            Picture(
+                svg_for_page(figure, plain_name, described),
+                f'{counts}.',
+                f'{name}, {what}',
+                css_colour(colours[name]),
+                wide=True,
+            )
+        )
     start, end = ((stamp - origin) / NANOSECONDS for stamp in span)
     return Stretch(f'{heading}, {start:.2f} s to {end:.2f} s', tuple(pictures))
 
@@ -169,15 +228,19 @@ def _unconnected_stamps(run: FinishedRun) -> list[int]:
 
 def graph_swatches(sequences: tuple[RecordedSequence, ...]) -> list[Swatch]:
     """What the graph pictures of all sequences show, each thing once."""
-    graphs = [
+    return swatches(
         sequence.runs[name].graph
         for sequence in sequences
         for name in dict.fromkeys([BASE, sequence.lead])
         if name in sequence.runs
-    ]
+    )
+
+
+def swatches(graphs: Iterable[Mapping[str, Any]]) -> list[Swatch]:
+    """What the pictures of graphs, in the layout of ``graph.json``, show; each thing once."""
     return [
         Swatch(label, shape, css_colour(fill), css_colour(edge))
-        for label, shape, fill, edge in graph_legend(graphs, PAGE)
+        for label, shape, fill, edge in graph_legend(list(graphs), PAGE)
     ]
 
 

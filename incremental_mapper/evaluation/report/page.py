@@ -3,15 +3,10 @@
 Importing this needs jinja2 and matplotlib, which come with the extra ``report``.
 """
 
-from collections.abc import Mapping, Sequence
-from importlib.resources import files
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import yaml
-from jinja2 import Environment, StrictUndefined
-
-from incremental_mapper.errors import OutputError
 from incremental_mapper.evaluation.record import RecordedEvaluation, RecordedSequence, read_record
 from incremental_mapper.evaluation.report import words
 from incremental_mapper.evaluation.report.charts import strategy_colours
@@ -23,6 +18,7 @@ from incremental_mapper.evaluation.report.drawings import (
     sequence_pictures,
     trade_picture,
 )
+from incremental_mapper.evaluation.report.rendering import as_yaml, write_page
 from incremental_mapper.evaluation.table import (
     FURTHER_ROWS,
     PAPER_ROWS,
@@ -31,10 +27,9 @@ from incremental_mapper.evaluation.table import (
     Table,
     make_table,
 )
-from incremental_mapper.visualization.figure import DARK, LIGHT, PAGE, css_colour, css_variables
+from incremental_mapper.visualization.figure import PAGE, css_colour
 
-FILE_NAME = 'report.html'
-TEMPLATE, STYLE = 'page.html', 'style.css'
+TEMPLATE = 'page.html'
 
 
 def write_report(out_dir: Path) -> Path:
@@ -45,18 +40,7 @@ def write_report(out_dir: Path) -> Path:
         OutputError: The page cannot be written.
     """
     evaluation = read_record(out_dir)
-    environment = Environment(
-        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    page = environment.from_string(_resource(TEMPLATE)).render(_context(evaluation))
-    path = out_dir / FILE_NAME
-    partial = path.with_name(f'.{path.name}.partial')
-    try:
-        partial.write_text(page, encoding='utf-8')
-        partial.replace(path)
-    except OSError as error:
-        raise OutputError(f'{path}: cannot be written ({error.strerror})') from error
-    return path
+    return write_page(out_dir, TEMPLATE, _context(evaluation))
 
 
 def _context(evaluation: RecordedEvaluation) -> dict[str, Any]:
@@ -76,9 +60,6 @@ def _context(evaluation: RecordedEvaluation) -> dict[str, Any]:
         tables.append(('By motion', _tables(make_table(pieces, strategies))))
     colours = strategy_colours(strategies, PAGE)
     return {
-        'style': _resource(STYLE),
-        'light': css_variables(LIGHT),
-        'dark': css_variables(DARK),
         'record': record,
         'strategies': [
             Swatch(name, 'line', css_colour(colours[name]), css_colour(colours[name]))
@@ -96,7 +77,7 @@ def _context(evaluation: RecordedEvaluation) -> dict[str, Any]:
             _section(evaluation, sequence, number)
             for number, sequence in enumerate(evaluation.sequences, start=1)
         ],
-        'settings': _yaml(record['settings']),
+        'settings': as_yaml(record['settings']),
         'effective': _effective(evaluation, lead),
     }
 
@@ -113,7 +94,7 @@ def _section(
         'seconds': drive_seconds(sequence),
         'facts': [] if sequence.lead is None else _facts(sequence, sequence.lead),
         'pictures': list(sequence_pictures(sequence, evaluation.strategies, number)),
-        'stretches': list(graph_stretches(sequence, number)),
+        'stretches': list(graph_stretches(sequence, evaluation.strategies, number)),
         'failures': [
             (strategy, reason)
             for name, strategy, reason in words.failures(evaluation)
@@ -128,9 +109,10 @@ def _facts(sequence: RecordedSequence, lead: str) -> list[tuple[str, str]]:
     rows = {row.name: row for row in ROWS}
     wanted = (
         'compression_vertices_percent',
+        'rpe_per_second_translation_rmse_m',
+        'ate_rmse_m',
         'rpe_translation_rmse_m',
         'rpe_rotation_rmse_deg',
-        'ate_rmse_m',
     )
     return [
         (rows[name].title, rows[name].text(metrics[name]))
@@ -172,13 +154,5 @@ def _effective(evaluation: RecordedEvaluation, lead: str | None) -> str:
     """All settings of one run of the lead; inputs differ in what they bring themselves."""
     for sequence in evaluation.sequences:
         if lead in sequence.runs and sequence.jobs[lead]['settings']:
-            return _yaml(sequence.jobs[lead]['settings'])
+            return as_yaml(sequence.jobs[lead]['settings'])
     return ''
-
-
-def _yaml(tree: Mapping[str, Any]) -> str:
-    return yaml.safe_dump(dict(tree), sort_keys=False, default_flow_style=None, width=100).strip()
-
-
-def _resource(name: str) -> str:
-    return files(__package__).joinpath(name).read_text(encoding='utf-8')

@@ -11,6 +11,15 @@ from incremental_mapper.evaluation.table import BASE, Entry, mean_metrics
 
 SAME = 0.1
 """Errors that differ by less than this share are called about the same."""
+PER_SECOND = 'rpe_per_second_translation_rmse_m'
+ERRORS = (
+    (PER_SECOND, 'relative pose error per second'),
+    ('ate_rmse_m', 'absolute trajectory error'),
+    (
+        'rpe_translation_rmse_m',
+        'relative pose error from one pose to the next, a longer step the fewer poses there are,',
+    ),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,9 +68,10 @@ def tiles(evaluation: RecordedEvaluation, lead: str) -> list[Tile]:
     if saving is not None and lead != BASE:
         made.append(Tile(f'{saving:.1f} %', 'fewer variables than base', _range(found, lead)))
     for name, unit, digits, what in (
-        ('rpe_translation_rmse_m', ' m', 4, 'relative pose error'),
-        ('rpe_rotation_rmse_deg', '°', 3, 'relative rotation error'),
+        ('rpe_per_second_translation_rmse_m', ' m', 4, 'relative pose error per second'),
         ('ate_rmse_m', ' m', 4, 'absolute trajectory error'),
+        ('rpe_translation_rmse_m', ' m', 4, 'relative pose error, pose to pose'),
+        ('rpe_rotation_rmse_deg', '°', 3, 'relative rotation error, pose to pose'),
         ('map_distance_m', ' cm', 1, "mean distance to base's map"),
         ('real_time_factor', '', 1, 'real-time factor'),
     ):
@@ -85,20 +95,26 @@ def verdict(evaluation: RecordedEvaluation, lead: str) -> list[str]:
         found.setdefault(entry.sequence, {})[entry.strategy] = entry
     if lead == BASE:
         return [_connected(evaluation.sequences, BASE)]
-    told = []
     both = BASE in evaluation.strategies
     own, base = (
         mean_metrics(list(found.values()), [lead, BASE])
         if both
         else (mean_metrics(list(found.values()), [lead])[0], {})
     )
+    told = []
     saving = own.get('compression_vertices_percent')
     if saving is not None:
         word = 'fewer' if saving >= 0.0 else 'more'
-        told.append(f'{lead} keeps {abs(saving):.1f} % {word} variables than base.')
-    told += _errors(own, base)
-    told += [_connected(evaluation.sequences, name) for name in ([lead, BASE] if both else [lead])]
-    return told
+        told.append(f'{lead} keeps {abs(saving):.1f} % {word} variables than base')
+    judged = _compared(own, base, PER_SECOND)
+    if judged:
+        told.append(f'its drift over a second is {judged} that of base')
+    heading = '; '.join(told) or f'{lead} was mapped'
+    return [
+        f'{heading}.',
+        *_errors(own, base),
+        *(_connected(evaluation.sequences, name) for name in ([lead, BASE] if both else [lead])),
+    ]
 
 
 def failures(evaluation: RecordedEvaluation) -> list[tuple[str, str, str]]:
@@ -124,20 +140,33 @@ def flagged(sequence: RecordedSequence) -> list[tuple[str, str]]:
 
 
 def _errors(own: Metrics, base: Metrics) -> list[str]:
-    """The relative pose error against that of base."""
-    value, other = own.get('rpe_translation_rmse_m'), base.get('rpe_translation_rmse_m')
-    if value is None:
-        return ['There is no truth to measure errors against.']
-    if not other:
-        return [f'Its relative pose error is {value:.4f} m.']
+    """The errors, each against that of base; over a second first, which steps do not change."""
+    told = []
+    for name, what in ERRORS:
+        value, other = own.get(name), base.get(name)
+        if value is None:
+            continue
+        judged = _compared(own, base, name)
+        beside = f', {judged} that of base ({other:.4f} m)' if judged else ''
+        told.append(f'Its {what} is {value:.4f} m{beside}.')
+    return told or ['There is no truth to measure errors against.']
+
+
+def _compared(own: Metrics, base: Metrics, name: str) -> str:
+    """How an error stands to that of base, in words; empty where one of both is not known."""
+    value, other = own.get(name), base.get(name)
+    if value is None or not other:
+        return ''
     change = value / other - 1.0
     if abs(change) < SAME:
-        judged = 'about the same as'
-    elif change > 0:
-        judged = f'{100 * change:.0f} % above' if change < 1 else f'{value / other:.1f} times'
-    else:
-        judged = f'{-100 * change:.0f} % below'
-    return [f'Its relative pose error is {value:.4f} m, {judged} that of base ({other:.4f} m).']
+        return 'about the same as'
+    if change > 0:
+        return (
+            f'{100 * change:.0f}\N{NO-BREAK SPACE}% above'
+            if change < 1
+            else f'{value / other:.1f} times'
+        )
+    return f'{-100 * change:.0f}\N{NO-BREAK SPACE}% below'
 
 
 def _connected(sequences: Sequence[RecordedSequence], strategy: str) -> str:
