@@ -192,8 +192,8 @@ def search(folder: Path, tree: Tree) -> dict[str, Any]:
 
 
 def hour(folder: Path, tree: Tree, minutes: float) -> dict[str, Any]:
-    """Memory of a very long drive whose scans are kept on disk."""
-    source, config = opened(folder, merge(tree, {'map': {'store': 'disk'}}))
+    """Memory of a very long drive, its scans kept where the settings say."""
+    source, config = opened(folder, tree)
     rounds = max(round(60.0 * minutes / source.info.duration), 1)
     long = RepeatedDrive(source, rounds)
     mapper = Mapper(config, list(source.info.counts))
@@ -287,7 +287,7 @@ def report(parts: dict[str, Any]) -> str:
         )
     if done := parts.get('hour'):
         line(
-            f'peak memory of {done["minutes"]:.0f} minutes, scans on disk',
+            f'peak memory of {done["minutes"]:.0f} minutes',
             f'{done["peak_rss_mb_while_mapping"]:.0f} MB while mapping, '
             f'{done["peak_rss_mb_with_final_solve"]:.0f} MB with the final solve; growth '
             f'{done["growth"]:.2f}, real-time factor {done["real_time_factor"]:.2f}',

@@ -344,7 +344,7 @@ class MapSettings(Section):
     store: MapStore = MapStore.SPILL
     """spill keeps the scans in memory up to ``memory``, and all further ones in a temporary file:
     5 to 12 GB an hour with two VLP-16. disk keeps all of them there, memory none."""
-    memory: float = Field(default=256.0, ge=0.0, le=1e6, allow_inf_nan=False)
+    memory: float = Field(default=128.0, ge=0.0, le=1e6, allow_inf_nan=False)
     """spill: MB of scans that stay in memory."""
     store_folder: str = ''
     """Folder of that file; empty takes TMPDIR where that is set, else /var/tmp, since /tmp is often

@@ -193,7 +193,7 @@ def test_default_store_is_bounded_and_needs_no_file_before_that(monkeypatch, tmp
     store = store_of()
     assert isinstance(store, SpillingStore)
     scan = np.zeros((1_000_000, 3), dtype=np.float32)
-    few = [store.put(scan) for _ in range(20)]  # 240 MB, all the same
+    few = [store.put(scan) for _ in range(10)]  # 120 MB, all the same
     assert store.findings == ()
     more = [store.put(scan) for _ in range(2)]
     assert all(item.load().shape == (1_000_000, 3) for item in few + more)

@@ -85,7 +85,6 @@ class Journal:
         """
         self.path = folder
         self.windows = self.missing = self.nbytes = 0
-        self._config = config
         self._sync = config.journal.sync if sync is None else sync
         self._reserve = round(config.journal.reserve * MB)
         self._warn = round(config.map.reserve * MB)
