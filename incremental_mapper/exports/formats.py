@@ -41,6 +41,7 @@ class Format:
         suffixes: Endings of files that are taken for it.
         libraries: Modules that it needs and that may be missing.
         systems: Whether it holds a coordinate system.
+        stem: What a file of it is called in a run's folder, by default what it holds.
         install: What to type where a library is missing.
     """
 
@@ -50,12 +51,13 @@ class Format:
     suffixes: tuple[str, ...]
     libraries: tuple[str, ...] = ()
     systems: bool = False
+    stem: str = ''
     install: str = INSTALL
 
     @property
     def file_name(self) -> str:
         """What a file of it is called in a run's folder."""
-        return f'{self.content}{self.suffixes[0]}'
+        return f'{self.stem or self.content}{self.suffixes[0]}'
 
     def missing(self) -> tuple[str, ...]:
         """Its libraries that are not installed."""
@@ -64,7 +66,7 @@ class Format:
 
 LAZ_NEEDS = ('laspy', 'lazrs', 'pyproj')
 BUILT_IN = (
-    Format('ply', Content.MAP, point_files.write_ply, ('.ply',)),
+    Format('ply', Content.MAP, point_files.write_ply, ('.ply',), stem='map_all'),
     Format('pcd', Content.MAP, point_files.write_pcd, ('.pcd',)),
     Format('laz', Content.MAP, point_files.write_las, ('.laz',), LAZ_NEEDS, systems=True),
     Format('las', Content.MAP, point_files.write_las, ('.las',), LAZ_NEEDS, systems=True),

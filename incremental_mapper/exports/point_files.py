@@ -4,7 +4,6 @@ All are written in pieces of ``CHUNK`` points, so a map need not fit into memory
 come with the extra ``formats``.
 """
 
-import shutil
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 
 from incremental_mapper.errors import ConfigError
 from incremental_mapper.exports.exported_run import ExportedRun, maker, place_of
-from incremental_mapper.map.ply import MapFile, Records
+from incremental_mapper.map.ply import MapFile, Records, ply_header
 
 PCD_TYPES = {'<f4': ('4', 'F'), '<f8': ('8', 'F'), '|u1': ('1', 'U'), '<i4': ('4', 'I')}
 """Sizes and kinds of numbers as PCD names them."""
@@ -40,9 +39,11 @@ LAS_TEXT = 31
 
 
 def write_ply(run: ExportedRun, path: Path, _crs: str | None) -> Sequence[str]:
-    """The map as it is."""
-    _ = run.map.count  # is one
-    shutil.copyfile(run.map.path, path)
+    """The map with all its columns in one file."""
+    with path.open('wb') as file:
+        file.write(ply_header([('vertex', run.map.count, run.map.dtype)], run.map.lidars))
+        for records in run.map.records():
+            file.write(records.tobytes())
     return ()
 
 

@@ -1,11 +1,15 @@
-"""``map.ply``: the points of a map with their intensity, and when and by what each was seen.
+"""``map.ply``: the points of a map with their intensity; ``map_scans.ply``: which scan saw each.
+
+They are two files because readers of PLY that know floats alone, as small_gicp's does, refuse other
+columns, and some misread more than four.
 
 By hand, because plyfile's licence (GPL) is not ours, small_gicp's reader ends the process where a
 file is damaged, and a long map is read and written in pieces.
 """
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -24,14 +28,13 @@ Records: TypeAlias = NDArray[np.void]
 SOURCE_FIELDS = (('time', '<f8'), ('lidar', 'u1'), ('window', '<i4'))
 """Columns that tell where a point comes from, and their types."""
 CHUNK = 500_000
-"""Points that are in memory at a time where a file is read or written in pieces."""
-TYPES = {
-    'float': '<f4', 'float32': '<f4', 'double': '<f8', 'float64': '<f8', 'uchar': 'u1',
-    'uint8': 'u1', 'char': 'i1', 'int8': 'i1', 'ushort': '<u2', 'uint16': '<u2', 'short': '<i2',
-    'int16': '<i2', 'uint': '<u4', 'uint32': '<u4', 'int': '<i4', 'int32': '<i4',
-}  # fmt: skip
-"""PLY's names of types, the old and the new ones, in numpy's."""
+"""Points that are in memory at a time where a file is read in pieces."""
+SCANS = 'map_scans.ply'
+"""Beside the file of the points: a number for each point, and the scans that the numbers mean."""
+NUMBER = np.dtype([('scan', '<i4')])
+SCAN = np.dtype(list(SOURCE_FIELDS))
 NAMES = {'<f4': 'float', '<f8': 'double', 'u1': 'uchar', '<i4': 'int'}
+"""PLY's names of types."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,35 +74,9 @@ class MapCloud:
         """Names of the LiDARs, in the order of their numbers."""
         return () if self.scans is None else self.scans.names
 
-    @property
-    def dtype(self) -> np.dtype[np.void]:
-        """The columns of ``records``."""
-        columns: list[tuple[str, str]] = [
-            (name, '<f4') for name in CLOUD_FIELDS[: self.points.shape[1]]
-        ]
-        return np.dtype(columns + list(SOURCE_FIELDS if self.scans is not None else ()))
-
-    def records(self, size: int | None = None) -> Iterator[Records]:
-        """The points with all that is known of them, ``size`` (``CHUNK``) at a time.
-
-        ``time`` is the stamp of a scan in seconds: a double tells moments 0.2 µs apart.
-        """
-        size = size or CHUNK
-        for start in range(0, len(self), size):
-            part = self.points[start : start + size]
-            records: Records = np.empty(len(part), dtype=self.dtype)
-            for name, column in zip(CLOUD_FIELDS, part.T, strict=False):
-                records[name] = column
-            if self.scans is not None:
-                first = self.first[start : start + size]
-                records['time'] = (self.scans.stamps / NANOSECONDS)[first]
-                records['lidar'] = self.scans.lidars[first]
-                records['window'] = self.scans.windows[first]
-            yield records
-
 
 def write_ply(path: Path, cloud: MapCloud) -> None:
-    """Write a map as a binary PLY.
+    """Write the points of a map as a binary PLY with float vertices.
 
     Args:
         path: the file to write; what it held is lost.
@@ -108,27 +85,49 @@ def write_ply(path: Path, cloud: MapCloud) -> None:
     Raises:
         OSError: the file cannot be written.
     """
+    columns = np.dtype([(name, '<f4') for name in CLOUD_FIELDS[: cloud.points.shape[1]]])
     with path.open('wb') as file:
-        file.write(ply_header(cloud.dtype, len(cloud), cloud.lidars))
-        for records in cloud.records():
-            file.write(records.tobytes())
+        file.write(ply_header([('vertex', len(cloud), columns)]))
+        file.write(np.ascontiguousarray(cloud.points, dtype='<f4').tobytes())
 
 
-def ply_header(dtype: np.dtype[np.void], count: int, lidars: tuple[str, ...] = ()) -> bytes:
-    """The head of a binary PLY of points.
+def write_scans(path: Path, cloud: MapCloud) -> None:
+    """Write which scan saw each voxel first, as a binary PLY of points and scans.
 
     Args:
-        dtype: Columns of the points.
-        count: How many points follow.
-        lidars: Names that the numbers of the column ``lidar`` stand for.
+        path: the file to write; what it held is lost.
+        cloud: the map.
+
+    Raises:
+        OSError: the file cannot be written.
     """
-    fields = [(name, dtype[name].str.lstrip('|')) for name in dtype.names or ()]
+    scans = np.zeros(0, dtype=SCAN)
+    if cloud.scans is not None:
+        scans = np.empty(len(cloud.scans.stamps), dtype=SCAN)
+        scans['time'] = cloud.scans.stamps / NANOSECONDS
+        scans['lidar'], scans['window'] = cloud.scans.lidars, cloud.scans.windows
+    elements = [('scan', len(scans), SCAN), ('point', len(cloud), NUMBER)]
+    with path.open('wb') as file:
+        file.write(ply_header(elements, cloud.lidars))
+        file.write(scans.tobytes())
+        file.write(np.ascontiguousarray(cloud.first, dtype='<i4').tobytes())
+
+
+def ply_header(
+    elements: Sequence[tuple[str, int, np.dtype[np.void]]], lidars: tuple[str, ...] = ()
+) -> bytes:
+    """The head of a binary PLY.
+
+    Args:
+        elements: Name, number and columns of what follows.
+        lidars: Names that the numbers of a column ``lidar`` stand for.
+    """
     lines = ['ply', 'format binary_little_endian 1.0', 'comment frame map, metres']
     lines += [f'comment lidar {number} {name}' for number, name in enumerate(lidars)]
-    if 'time' in dict(fields):
-        lines.append('comment time, lidar and window are those of the scan that saw a voxel first')
-    lines += [f'element vertex {count}']
-    lines += [f'property {NAMES[kind]} {name}' for name, kind in fields]
+    for element, count, dtype in elements:
+        lines.append(f'element {element} {count}')
+        for name in dtype.names or ():
+            lines.append(f'property {NAMES[dtype[name].str.lstrip("|")]} {name}')
     return '\n'.join([*lines, 'end_header', '']).encode()
 
 
@@ -136,7 +135,8 @@ def ply_header(dtype: np.dtype[np.void], count: int, lidars: tuple[str, ...] = (
 class MapFile:
     """A ``map.ply`` whose points are read when they are asked for.
 
-    Every attribute raises InputError where the file is damaged, or is no map.
+    Where ``map_scans.ply`` lies beside it, they know their scans. Every attribute raises InputError
+    where a file is damaged, or is no map.
     """
 
     path: Path
@@ -144,26 +144,46 @@ class MapFile:
     @property
     def count(self) -> int:
         """How many points it holds."""
-        return self._head[1]
+        return self._points.count
 
     @property
     def dtype(self) -> np.dtype[np.void]:
-        """The columns of its points."""
-        return self._head[2]
+        """The columns of ``records``."""
+        columns = [(name, '<f4') for name in self._points.columns]
+        return np.dtype(columns + list(SOURCE_FIELDS if self._scans is not None else ()))
 
     @property
     def lidars(self) -> tuple[str, ...]:
         """Names of the LiDARs, in the order of their numbers."""
-        return self._head[3]
+        return () if self._scans is None else self._scans.lidars
 
     def records(self, size: int | None = None) -> Iterator[Records]:
-        """The points with all their columns, ``size`` (``CHUNK``) at a time."""
+        """The points with all that is known of them, ``size`` (``CHUNK``) at a time.
+
+        ``time`` is the stamp of a scan in seconds: a double tells moments 0.2 µs apart.
+        """
         size = size or CHUNK
-        start, count, dtype, _ = self._head
-        with self.path.open('rb') as file:
-            file.seek(start)
-            for first in range(0, count, size):
-                yield np.fromfile(file, dtype=dtype, count=min(size, count - first))
+        head, scans, dtype = self._points, self._scans, self.dtype
+        with ExitStack() as files:
+            file = files.enter_context(self.path.open('rb'))
+            file.seek(head.start)
+            numbers = None if scans is None else files.enter_context(scans.path.open('rb'))
+            if numbers is not None and scans is not None:
+                numbers.seek(scans.start)
+            for first in range(0, head.count, size):
+                count = min(size, head.count - first)
+                flat = np.fromfile(file, dtype='<f4', count=count * len(head.columns))
+                records: Records = np.empty(count, dtype=dtype)
+                for name, column in zip(head.columns, flat.reshape(count, -1).T, strict=True):
+                    records[name] = column
+                if numbers is not None and scans is not None:
+                    seen = np.fromfile(numbers, dtype='<i4', count=count)
+                    if not 0 <= seen.min() <= seen.max() < len(scans.table):
+                        raise _damaged(scans.path)
+                    own = scans.table[seen]
+                    for name, _ in SOURCE_FIELDS:
+                        records[name] = own[name]
+                yield records
 
     def columns(self, names: tuple[str, ...], dtype: Any) -> NDArray[Any]:
         """Some columns of all points.
@@ -184,23 +204,64 @@ class MapFile:
         return made
 
     @cached_property
-    def _head(self) -> tuple[int, int, np.dtype[np.void], tuple[str, ...]]:
-        """Where the points begin, their number, their columns, and the names of the LiDARs."""
-        with self.path.open('rb') as file:
-            head, end, _ = file.read(1 << 16).partition(b'end_header\n')
-        size = self.path.stat().st_size
-        text = head.decode(errors='replace')
+    def _points(self) -> '_Points':
+        text, start, size = _read_head(self.path)
         count = re.search(r'^element vertex (\d+)$', text, flags=re.MULTILINE)
-        fields = re.findall(r'^property (\w+) (\w+)$', text, flags=re.MULTILINE)
+        fields = re.findall(r'^property (.+) (\w+)$', text, flags=re.MULTILINE)
+        names = tuple(name for _, name in fields)
+        known = names[:3] == CLOUD_FIELDS[:3] and all(kind == 'float' for kind, _ in fields)
+        if count is None or not known or size != start + 4 * len(names) * int(count[1]):
+            raise _damaged(self.path)
+        return _Points(start, int(count[1]), names)
+
+    @cached_property
+    def _scans(self) -> '_Scans | None':
+        path = self.path.with_name(SCANS)
+        if not path.is_file():  # a run of an earlier version
+            return None
+        text, start, size = _read_head(path)
+        pattern = r'^element scan (\d+)$[\s\S]*^element point (\d+)$'
+        found = re.search(pattern, text, flags=re.MULTILINE)
+        scans, points = (int(found[1]), int(found[2])) if found else (0, -1)
+        begin = start + scans * SCAN.itemsize
+        if points != self.count or size != begin + points * NUMBER.itemsize:
+            raise _damaged(path)
+        if points and not scans:
+            return None
+        with path.open('rb') as file:
+            file.seek(start)
+            table = np.fromfile(file, dtype=SCAN, count=scans)
         names = re.findall(r'^comment lidar \d+ (.+)$', text, flags=re.MULTILINE)
-        try:
-            dtype: np.dtype[np.void] = np.dtype([(name, TYPES[kind]) for kind, name in fields])
-        except (KeyError, ValueError):
-            dtype = np.dtype([])
-        start = len(head) + len(end)
-        known = set(CLOUD_FIELDS[:3]) <= set(dtype.names or ())
-        if not end or count is None or not known or size != start + int(count[1]) * dtype.itemsize:
-            raise InputError(
-                f'{self.path}: is damaged, or is no map that "incremental_mapper map" wrote'
-            )
-        return start, int(count[1]), dtype, tuple(names)
+        return _Scans(path, begin, table, tuple(names))
+
+
+@dataclass(frozen=True, slots=True)
+class _Points:
+    """Where points begin in their file, how many there are, and their columns."""
+
+    start: int
+    count: int
+    columns: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Scans:
+    """The file of scans, where its numbers begin, the scans, and the names of the LiDARs."""
+
+    path: Path
+    start: int
+    table: Records
+    lidars: tuple[str, ...]
+
+
+def _read_head(path: Path) -> tuple[str, int, int]:
+    """The head of a PLY, where it ends, and the size of the file."""
+    with path.open('rb') as file:
+        head, end, _ = file.read(1 << 16).partition(b'end_header\n')
+    if not end:
+        raise _damaged(path)
+    return head.decode(errors='replace'), len(head) + len(end), path.stat().st_size
+
+
+def _damaged(path: Path) -> InputError:
+    return InputError(f'{path}: is damaged, or is no map that "incremental_mapper map" wrote')

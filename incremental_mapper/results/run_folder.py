@@ -1,8 +1,8 @@
 """The folder of a run: the files that are in it, writing them, and reading them back.
 
-``trajectory.tum``, ``map.ply``, ``graph.g2o``, ``graph.json`` (see ``graph_json``),
-``windows.csv``, ``stats.json`` (see ``run_statistics``) and ``files.json`` (see ``manifest``), by
-which one knows whether the others are whole, are always there; pictures and
+``trajectory.tum``, ``map.ply``, ``map_scans.ply``, ``graph.g2o``, ``graph.json`` (see
+``graph_json``), ``windows.csv``, ``stats.json`` (see ``run_statistics``) and ``files.json`` (see
+``manifest``), by which one knows whether the others are whole, are always there; pictures and
 ``candidates.parquet`` (see ``candidate_table``) where their libraries are installed, and
 ``failed_window_N.npz`` (see ``window_record``) where a window failed.
 """
@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from incremental_mapper.errors import ConfigError, InputError, MapperError, OutputError
 from incremental_mapper.exports.formats import export, formats, named
 from incremental_mapper.finite import not_finite
-from incremental_mapper.map.ply import MapCloud, MapFile, write_ply
+from incremental_mapper.map.ply import SCANS, MapCloud, MapFile, write_ply, write_scans
 from incremental_mapper.mapping.result import MapResult
 from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.results.candidate_table import FILE_NAME, read_window
@@ -45,7 +45,7 @@ Record: TypeAlias = Mapping[str, Any]
 
 TRAJECTORY, MAP, WINDOWS = 'trajectory.tum', 'map.ply', 'windows.csv'
 GRAPH, GRAPH_G2O, STATISTICS = 'graph.json', 'graph.g2o', 'stats.json'
-DATA = (TRAJECTORY, MAP, GRAPH_G2O, GRAPH, WINDOWS, STATISTICS)
+DATA = (TRAJECTORY, MAP, SCANS, GRAPH_G2O, GRAPH, WINDOWS, STATISTICS)
 FILES = (*DATA, MANIFEST)
 EXTRA_FILES = (
     FILE_NAME,
@@ -124,6 +124,7 @@ def write_result(
         _write(folder / record.name, partial(Path.write_bytes, data=record.data))
     _write_json(folder / STATISTICS, stats, indent=2)
     _refuse(folder / MAP, points=cloud.points)
+    _write(folder / SCANS, lambda path: write_scans(path, cloud))
     _write(folder / MAP, lambda path: write_ply(path, cloud))
     names = [*DATA, *(record.name for record in result.failed)]
     names += [FILE_NAME] if (folder / FILE_NAME).is_file() else []

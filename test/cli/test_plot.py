@@ -2,6 +2,7 @@
 
 import shutil
 
+import numpy as np
 import pytest
 
 from incremental_mapper.cli.main import main
@@ -99,7 +100,8 @@ def test_truth_is_drawn_from_a_file_or_from_beside(plot, folder, light_drive, tm
     write_tum(out.parent / 'truth.tum', read_truth(truth))
     assert plot('trajectory', out, '--out', beside)[0] == 0
     pixels = {path.stem: image.imread(path) for path in (plain, given, beside)}
-    assert (pixels['plain'] != pixels['given']).any()
+    # The truth may reach further, and the picture with it.
+    assert not np.array_equal(pixels['plain'], pixels['given'])
     # TUM keeps nanometres: the same picture.
     assert abs(pixels['given'] - pixels['beside']).max() < 0.05
 

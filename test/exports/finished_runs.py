@@ -5,7 +5,7 @@ import json
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from incremental_mapper.map.ply import MapCloud, ScanTable, write_ply
+from incremental_mapper.map.ply import MapCloud, ScanTable, write_ply, write_scans
 from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.results.run_folder import FinishedRun
 from incremental_mapper.trajectory import Trajectory, write_tum
@@ -27,7 +27,9 @@ def write_run(folder, points=5000, light=80.0, datum=DATUM, poses=20):
         names=('left', 'right'),
     )
     first = rng.integers(0, 40, points).astype(np.int32)
-    write_ply(folder / 'map.ply', MapCloud(cloud.astype(np.float32), first, scans))
+    made = MapCloud(cloud.astype(np.float32), first, scans)
+    write_ply(folder / 'map.ply', made)
+    write_scans(folder / 'map_scans.ply', made)
     turns = Rotation.from_euler('ZYX', rng.uniform(-1.0, 1.0, (poses, 3)))
     positions = rng.uniform(-150.0, 150.0, (poses, 3))
     stamps = START + np.arange(poses, dtype=np.int64) * NANOSECONDS // 10 + 7

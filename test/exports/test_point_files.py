@@ -106,3 +106,13 @@ def test_gps_time_knows_the_leap_seconds_of_its_days():
     moments = np.array([315964800.0, 1483228799.0, 1483228800.0, START / NANOSECONDS])
     ahead = gps_seconds(moments) - (moments - 315964800)
     assert ahead.tolist() == [0.0, 17.0, 18.0, 18.0]
+
+
+def test_ply_is_read_by_another_library(tmp_path):
+    trimesh = pytest.importorskip('trimesh', reason='trimesh is not installed (extra "test")')
+    run = write_run(tmp_path / 'run')
+    write(run, tmp_path / 'a.ply')
+    read, wanted = trimesh.load(tmp_path / 'a.ply', process=False), all_records(run)
+    data = read.metadata['_ply_raw']['vertex']['data']
+    for name in wanted.dtype.names:
+        assert np.array_equal(data[name].ravel(), wanted[name]), name

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from incremental_mapper.errors import InputError
-from incremental_mapper.map.ply import MapCloud, MapFile, ScanTable, write_ply
+from incremental_mapper.map.ply import MapCloud, MapFile, ScanTable, write_ply, write_scans
 from incremental_mapper.measurements import NANOSECONDS
 
 START = 1_544_590_798_000_000_000
@@ -21,11 +21,16 @@ def cloud(count, columns):
     return MapCloud(points, (np.arange(count) % 3).astype(np.int32), scans)
 
 
+def write(folder, made):
+    write_ply(folder / 'map.ply', made)
+    write_scans(folder / 'map_scans.ply', made)
+    return MapFile(folder / 'map.ply')
+
+
 @pytest.mark.parametrize('columns', [3, 4])
 def test_every_point_has_the_time_lidar_and_window_of_its_scan(columns, tmp_path):
     made = cloud(7, columns)
-    write_ply(tmp_path / 'map.ply', made)
-    file = MapFile(tmp_path / 'map.ply')
+    file = write(tmp_path, made)
     assert file.count == 7 and file.lidars == ('left', 'right one')
     pieces = list(file.records(size=3))
     assert [len(piece) for piece in pieces] == [3, 3, 1]
@@ -41,36 +46,37 @@ def test_every_point_has_the_time_lidar_and_window_of_its_scan(columns, tmp_path
 
 
 @pytest.mark.parametrize('columns', [3, 4])
-def test_points_without_scans_are_floats_alone_as_files_were_before(columns, tmp_path):
-    points = np.arange(5 * columns, dtype=np.float32).reshape(5, columns)
-    write_ply(tmp_path / 'map.ply', MapCloud.bare(points))
+def test_points_are_floats_alone_as_they_were_before(columns, tmp_path):
+    """Readers that know nothing else took them, and runs of before have no scans."""
+    made = cloud(5, columns)
+    write_ply(tmp_path / 'map.ply', made)
     head, _, body = (tmp_path / 'map.ply').read_bytes().partition(b'end_header\n')
     names = [line.split()[-1].decode() for line in head.splitlines() if b'property' in line]
     assert names == ['x', 'y', 'z', 'intensity'][:columns]
-    assert body == points.astype('<f4').tobytes()
-    assert MapFile(tmp_path / 'map.ply').lidars == ()
+    assert body == made.points.astype('<f4').tobytes()
+    file = MapFile(tmp_path / 'map.ply')
+    assert file.lidars == () and file.dtype.names == tuple(names)
 
 
-def test_another_library_reads_the_points(tmp_path):
-    trimesh = pytest.importorskip('trimesh', reason='trimesh is not installed (extra "test")')
-    made = cloud(7, 4)
-    write_ply(tmp_path / 'map.ply', made)
-    read = trimesh.load(tmp_path / 'map.ply', process=False)
-    assert np.array_equal(np.asarray(read.vertices, dtype=np.float32), made.points[:, :3])
-    data = read.metadata['_ply_raw']['vertex']['data']
-    assert data['window'].ravel().tolist() == [4, 4, 5, 4, 4, 5, 4]
-    assert data['time'].ravel() == pytest.approx(np.concatenate([*made.records()])['time'], abs=0)
+def test_a_map_without_scans_has_none(tmp_path):
+    empty = write(tmp_path, MapCloud.bare(np.zeros((0, 3), dtype=np.float32)))
+    assert empty.count == 0 and list(empty.records()) == []
+    bare = write(tmp_path, MapCloud.bare(np.ones((4, 3), dtype=np.float32)))
+    assert bare.dtype.names == ('x', 'y', 'z') and len(next(bare.records())) == 4
 
 
 def test_what_is_no_map_is_named(tmp_path):
-    path = tmp_path / 'map.ply'
-    write_ply(path, cloud(7, 4))
-    whole = path.read_bytes()
-    wrong = (
-        whole.replace(b'property uchar', b'property huge'),
-        whole.replace(b'float z', b'float w'),
-    )
-    for content in (whole[:-1], whole + b'1', whole[:40], b'', *wrong):
+    write(tmp_path, cloud(7, 4))
+    path, scans = tmp_path / 'map.ply', tmp_path / 'map_scans.ply'
+    whole, numbers = path.read_bytes(), scans.read_bytes()
+    flat, unknown = whole.replace(b'float z', b'float w'), whole.replace(b'float z', b'double z')
+    for content in (whole[:-1], whole + b'1', whole[:40], b'', flat, unknown):
         path.write_bytes(content)
         with pytest.raises(InputError, match='damaged'):
             _ = MapFile(path).count
+    path.write_bytes(whole)
+    fewer = numbers.replace(b'point 7', b'point 6')
+    for content in (numbers[:-1], numbers[:40], b'', fewer, numbers[:-4] + b'\x63\0\0\0'):
+        scans.write_bytes(content)
+        with pytest.raises(InputError, match=r'map_scans.ply: is damaged'):
+            list(MapFile(path).records())
