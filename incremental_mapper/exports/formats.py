@@ -177,7 +177,7 @@ def export(run: ExportedRun, form: Format, path: Path, crs: str | None = None) -
 
 def _lacking(name: str, missing: Sequence[str], install: str) -> str:
     verb = 'is' if len(missing) == 1 else 'are'
-    return f'{name} needs {" and ".join(missing)}, which {verb} missing; {install}'
+    return f'{name} needs {", ".join(missing)}, which {verb} missing; {install}'
 
 
 def _importable(library: str) -> bool:
