@@ -144,7 +144,7 @@ class OdometrySettings(Section):
     """Largest distance of a gicp correspondence in metres."""
     match_range: float = Field(default=80.0, gt=0.0, le=1000.0)
     """Points that are further from base_link in the plane, in metres, are left out by gicp."""
-    local_map_scans: int = Field(default=1, ge=1, le=200)
+    local_map_scans: int = Field(default=10, ge=1, le=200)
     """gicp target: 1 matches scan to scan, more match to a sliding map of so many scans."""
     min_points: int = Field(default=100, ge=10, le=100_000)
     """A scan with fewer points after down-sampling gets no odometry."""
@@ -158,12 +158,16 @@ class OdometrySettings(Section):
     """Match each LiDAR's scans in a process of its own: the same results, sooner."""
     deskew: bool = True
     """Undo the motion within a sweep where the cloud has per-point time."""
+    imu_guess: bool = True
+    """Guess where a scan lies to the one before, and deskew it, by the IMU: by its turn, and its
+    change of the velocity that matches tell. Over holes in it, where it contradicts the matches,
+    and with false, motion goes on as between the scans before."""
     noise: MatchNoise = MatchNoise.HESSIAN
     """hessian gives every match of gicp a covariance of its own, by how well the scans hold it in
     each direction; constant gives all of them the sigmas below, as do those of kiss_icp."""
-    covariance_scale: float = Field(default=50.0, gt=0.0, le=1e6)
+    covariance_scale: float = Field(default=25.0, gt=0.0, le=1e6)
     """hessian: factor on the inverse Hessian of a match, whose points are not independent and whose
-    errors are much alike from scan to scan."""
+    errors are much alike from scan to scan; 50 is right for scan to scan, whose errors add up."""
     floor_translation: Sigma = 0.01
     """hessian: standard deviation in metres that a match has at the least, each axis."""
     floor_rotation: Sigma = 0.001

@@ -1,7 +1,7 @@
 """From a window's raw measurements to what factors are made of."""
 
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Collection
 from concurrent.futures import Future
 from dataclasses import dataclass
@@ -15,9 +15,10 @@ from incremental_mapper.config import Config
 from incremental_mapper.errors import MeasurementError
 from incremental_mapper.frontend.fix_gate import FixGate
 from incremental_mapper.frontend.gnss import Datum, checked_covariance, fixed_datum
+from incremental_mapper.frontend.imu_supply import ImuSupply, sweep_end
 from incremental_mapper.frontend.lidar_odometry import PreparedScan
 from incremental_mapper.frontend.odometry_process import LocalStation, ProcessStation, ScanStation
-from incremental_mapper.measurements import CoreInput, Drops, GnssFix, LidarScan
+from incremental_mapper.measurements import CoreInput, Drops, GnssFix, ImuSample, LidarScan
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,11 +53,28 @@ class Preparation:
         return all(not isinstance(item, Future) or item.done() for _, item in self.items)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Waiting:
+    """A scan that waits for the IMU to pass the end of its sweep, a stamp in ns."""
+
+    scan: LidarScan
+    end: int
+    future: 'Future[PreparedScan]'
+
+
 class FrontEnd:
     """Scan matching per LiDAR, and fixes in local ENU around the first one that holds."""
 
-    def __init__(self, config: Config) -> None:
+    def __init__(self, config: Config, imu_expected: bool = False) -> None:
+        """Make ready for the first measurement.
+
+        Args:
+            config: All settings.
+            imu_expected: Whether there is an IMU; without, scans wait for none until it has told.
+        """
         self._config = config
+        self._imu = ImuSupply(imu_expected, config.window.lateness)
+        self._waiting: dict[str, deque[_Waiting]] = {}
         self._stations: dict[str, ScanStation] = {}
         self._begun: dict[tuple[str, int], tuple[LidarScan, Future[PreparedScan]]] = {}
         self.gate = FixGate(
@@ -85,8 +103,28 @@ class FrontEnd:
             measurement: The next one of its LiDAR; fixes take no time and are left alone.
         """
         if isinstance(measurement, LidarScan):
-            future = self._station(measurement.sensor).submit(measurement)
+            future = self._submit(measurement)
             self._begun[measurement.sensor, measurement.stamp] = (measurement, future)
+
+    def imu(self, sample: ImuSample) -> None:
+        """Take in a sample of the IMU: scans are guessed and deskewed by it.
+
+        Args:
+            sample: In rad/s and m/s^2.
+        """
+        if self._config.odometry.imu_guess:
+            self._imu.add(sample)
+            self._release()
+
+    def passed(self, newest: int) -> None:
+        """Take note of the newest stamp (ns) of all sensors, by which a silent IMU is told."""
+        self._imu.passed(newest)
+        self._release()
+
+    def awaits_imu(self, preparation: Preparation) -> bool:
+        """Whether a scan of a window still waits for the IMU to pass its end."""
+        waiting = {id(item.future) for queue in self._waiting.values() for item in queue}
+        return any(id(item) in waiting for _, item in preparation.items)
 
     def start(self, core: tuple[CoreInput, ...]) -> Preparation:
         """Begin to prepare a window's core measurements; fixes that cannot be used are counted.
@@ -121,6 +159,8 @@ class FrontEnd:
         """
         prepared: list[Prepared] = []
         for measurement, item in preparation.items:
+            if isinstance(measurement, LidarScan):
+                self._release(measurement)
             try:
                 prepared.append(self._collected(measurement, item))
             except MeasurementError as error:
@@ -155,8 +195,28 @@ class FrontEnd:
         begun, future = self._begun.pop((scan.sensor, scan.stamp), (None, None))
         # Of two with one stamp the other one may have been handed out.
         if begun is not scan or future is None:
-            return self._station(scan.sensor).submit(scan)
+            return self._submit(scan)
         return future
+
+    def _submit(self, scan: LidarScan) -> 'Future[PreparedScan]':
+        """Hand over a scan once the IMU has passed the end of its sweep."""
+        if not self._config.odometry.imu_guess:
+            return self._station(scan.sensor).submit(scan)
+        item = _Waiting(scan, sweep_end(scan), Future())
+        self._waiting.setdefault(scan.sensor, deque()).append(item)
+        self._release()
+        return item.future
+
+    def _release(self, needed: LidarScan | None = None) -> None:
+        """Hand over the scans that need not wait any longer, and one that is needed now."""
+        for sensor, queue in self._waiting.items():
+            forced = needed is not None and any(item.scan is needed for item in queue)
+            while queue and (forced or self._imu.complete(queue[0].end)):
+                item = queue.popleft()
+                forced = forced and item.scan is not needed
+                samples = self._imu.take(sensor, item.end)
+                made = self._station(sensor).submit(item.scan, samples)
+                made.add_done_callback(_handing_on(item.future))
 
     def _station(self, name: str) -> ScanStation:
         if name not in self._stations:
@@ -175,3 +235,17 @@ class FrontEnd:
         judged = self.gate.fix(measurement, item)
         core = CoreMeasurement(measurement.stamp, measurement.sensor, CoreKind.GNSS)
         return PreparedFix(core, judged.enu, judged.covariance, judged.doubtful)
+
+
+def _handing_on(promise: 'Future[PreparedScan]') -> Callable[['Future[PreparedScan]'], None]:
+    """What gives a future's outcome to another one."""
+
+    def hand_on(made: 'Future[PreparedScan]') -> None:
+        if made.cancelled():
+            promise.cancel()
+        elif (error := made.exception()) is not None:
+            promise.set_exception(error)
+        else:
+            promise.set_result(made.result())
+
+    return hand_on

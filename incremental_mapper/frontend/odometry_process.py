@@ -14,6 +14,7 @@ from typing import Any, BinaryIO, Protocol
 
 from incremental_mapper.config import Config
 from incremental_mapper.errors import MeasurementError
+from incremental_mapper.frontend.imu_preintegration import EMPTY_SERIES, ImuSeries
 from incremental_mapper.frontend.lidar_odometry import PreparedScan, ScanPreparer
 from incremental_mapper.measurements import LidarScan
 
@@ -24,8 +25,13 @@ _SINGLE = {name: '1' for name in ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS')}
 class ScanStation(Protocol):
     """Prepares the scans of one LiDAR in the order in which they are submitted."""
 
-    def submit(self, scan: LidarScan) -> 'Future[PreparedScan]':
-        """Hand over the next scan; its result raises MeasurementError where it cannot be used."""
+    def submit(self, scan: LidarScan, imu: ImuSeries = EMPTY_SERIES) -> 'Future[PreparedScan]':
+        """Hand over the next scan; its result raises MeasurementError where it cannot be used.
+
+        Args:
+            scan: As the message has it.
+            imu: The IMU's samples since the scan before, up to the end of the sweep.
+        """
 
     def close(self) -> None:
         """Let go of what the station holds; nothing may be submitted afterwards."""
@@ -37,11 +43,11 @@ class LocalStation:
     def __init__(self, name: str, config: Config, notes: Counter[str]) -> None:
         self._preparer = ScanPreparer(name, config, notes)
 
-    def submit(self, scan: LidarScan) -> 'Future[PreparedScan]':
+    def submit(self, scan: LidarScan, imu: ImuSeries = EMPTY_SERIES) -> 'Future[PreparedScan]':
         """See ScanStation."""
         future: Future[PreparedScan] = Future()
         try:
-            future.set_result(self._preparer.prepare(scan))
+            future.set_result(self._preparer.prepare(scan, imu))
         except MeasurementError as error:
             future.set_exception(error)
         return future
@@ -73,9 +79,9 @@ class ProcessStation:
         """Number of the process."""
         return self._process.pid
 
-    def submit(self, scan: LidarScan) -> 'Future[PreparedScan]':
+    def submit(self, scan: LidarScan, imu: ImuSeries = EMPTY_SERIES) -> 'Future[PreparedScan]':
         """See ScanStation."""
-        return self._thread.submit(self._exchange, scan)
+        return self._thread.submit(self._exchange, scan, imu)
 
     def close(self) -> None:
         """See ScanStation."""
@@ -91,10 +97,10 @@ class ProcessStation:
         except OSError:
             pass  # no answer will come, which is noticed there
 
-    def _exchange(self, scan: LidarScan) -> PreparedScan:
+    def _exchange(self, scan: LidarScan, imu: ImuSeries) -> PreparedScan:
         assert self._process.stdout is not None
         if self._here is None:
-            self._send(scan)
+            self._send((scan, imu))
             try:
                 result, notes = pickle.load(self._process.stdout)
             except (EOFError, OSError, pickle.UnpicklingError):
@@ -105,21 +111,21 @@ class ProcessStation:
                 if isinstance(result, PreparedScan):
                     return result
                 raise MeasurementError(*result)
-        return self._here.prepare(scan)
+        return self._here.prepare(scan, imu)
 
 
 def serve(requests: BinaryIO, answers: BinaryIO) -> None:
-    """Read name and settings, then scans; answer each with a result and new notes."""
+    """Read name and settings, then scans with samples; answer each with a result and new notes."""
     name, config = pickle.load(requests)
     notes: Counter[str] = Counter()
     preparer = ScanPreparer(name, config, notes)
     while True:
         try:
-            scan = pickle.load(requests)
+            scan, imu = pickle.load(requests)
         except EOFError:
             return
         try:
-            result: object = preparer.prepare(scan)
+            result: object = preparer.prepare(scan, imu)
         except MeasurementError as error:
             result = (error.reason, str(error))
         pickle.dump((result, dict(notes)), answers, protocol=pickle.HIGHEST_PROTOCOL)

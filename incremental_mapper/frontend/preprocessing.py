@@ -4,6 +4,7 @@ Coordinates are kept in rows, (3, N): NumPy works several times as fast along th
 """
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import gtsam
 import numpy as np
@@ -36,6 +37,18 @@ class Sweep:
         return 0.0 if self.times is None or len(self) == 0 else float(self.times.mean())
 
 
+class BodyMotion(Protocol):
+    """How base_link moves around a sweep; moments are seconds after its stamp."""
+
+    def between(self, start: float, end: float) -> gtsam.Pose3:
+        """T_start_end."""
+
+    def moved(
+        self, rows: NDArray[np.float64], times: NDArray[np.float64], moment: float
+    ) -> NDArray[np.float64]:
+        """Points (3, N) seen at ``times`` (N,), as base_link would have seen them at a moment."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Twist:
     """Constant motion of base_link: ``linear`` (3,) m/s and ``angular`` (3,) rad/s, body frame."""
@@ -46,6 +59,24 @@ class Twist:
     def over(self, seconds: float) -> gtsam.Pose3:
         """The motion within so many seconds."""
         return gtsam.Pose3.Expmap(np.concatenate([self.angular, self.linear]) * seconds)
+
+    def between(self, start: float, end: float) -> gtsam.Pose3:
+        """See BodyMotion."""
+        return self.over(end - start)
+
+    def moved(
+        self, rows: NDArray[np.float64], times: NDArray[np.float64], moment: float
+    ) -> NDArray[np.float64]:
+        """See BodyMotion."""
+        since = times - moment
+        # Rodrigues: p + sin(at)/a (w x p) + (1 - cos(at))/a^2 (w x (w x p)), also where a is zero.
+        cross = gtsam.Rot3.Hat(self.angular)
+        half = float(np.linalg.norm(self.angular)) / (2.0 * np.pi)
+        once = since * np.sinc(2.0 * half * since)
+        twice = 0.5 * (since * np.sinc(half * since)) ** 2
+        moved = rows + once * (cross @ rows) + twice * (cross @ cross @ rows)
+        moved += since * self.linear[:, None]
+        return moved
 
 
 STANDING = Twist(np.zeros(3), np.zeros(3))
@@ -83,20 +114,11 @@ def to_base(
     )
 
 
-def deskew(sweep: Sweep, twist: Twist, moment: float) -> NDArray[np.float64]:
+def deskew(sweep: Sweep, motion: BodyMotion, moment: float) -> NDArray[np.float64]:
     """The points (N, 3) as base_link would have seen them ``moment`` seconds after the stamp.
 
     A sweep without times stays as it is.
     """
     if sweep.times is None:
         return sweep.rows.T
-    times = sweep.times - moment
-    # Rodrigues: p + sin(at)/a (w x p) + (1 - cos(at))/a^2 (w x (w x p)), also where a is zero.
-    cross = gtsam.Rot3.Hat(twist.angular)
-    half = float(np.linalg.norm(twist.angular)) / (2.0 * np.pi)
-    once = times * np.sinc(2.0 * half * times)
-    twice = 0.5 * (times * np.sinc(half * times)) ** 2
-    moved = sweep.rows + once * (cross @ sweep.rows) + twice * (cross @ cross @ sweep.rows)
-    moved += times * twist.linear[:, None]
-    deskewed: NDArray[np.float64] = moved.T
-    return deskewed
+    return motion.moved(sweep.rows, sweep.times, moment).T

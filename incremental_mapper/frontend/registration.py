@@ -2,7 +2,7 @@
 
 from collections import deque
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, TypeAlias
 
 import gtsam
 import numpy as np
@@ -22,6 +22,9 @@ ROTATION_STEP, TRANSLATION_STEP = 0.01, 0.03
 the next, so what is left is far below the noise of a match. Where the motion is steady, the first
 step is the last; bounds a third as large take half as many steps again and
 match no better."""
+
+
+Clouds: TypeAlias = list[NDArray[np.float64]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,6 +49,9 @@ class ScanMatcher(Protocol):
 
         ``guess`` is T_previous_current as far as it is known. The first scan gives None.
         """
+
+    def undo(self) -> bool:
+        """Forget the last scan, to match it again from elsewhere; false where that cannot be."""
 
     def match_over_gap(self, points: NDArray[np.float64], guess: gtsam.Pose3) -> Match | None:
         """As ``match`` with a scan seconds later; None where no match is certain."""
@@ -82,6 +88,10 @@ class KissMatcher:
             return Match(guess, overlap=0.0)
         return Match(gtsam.Pose3(motion))
 
+    def undo(self) -> bool:
+        """See ScanMatcher: KISS-ICP guesses by itself, and would from the same place."""
+        return False
+
     def match_over_gap(self, points: NDArray[np.float64], guess: gtsam.Pose3) -> Match | None:
         """See ScanMatcher: KISS-ICP does not tell how certain it is."""
         return None
@@ -95,10 +105,15 @@ class GicpMatcher:
         self._recent: deque[tuple[small_gicp.PointCloud, small_gicp.KdTree]] = deque(maxlen=1)
         # Points of the last scans, each in the newest scan's frame.
         self._window: deque[NDArray[np.float64]] = deque(maxlen=settings.local_map_scans)
+        self._before: tuple[list[tuple[small_gicp.PointCloud, small_gicp.KdTree]], Clouds] = (
+            [],
+            [],
+        )
 
     def match(self, points: NDArray[np.float64], guess: gtsam.Pose3) -> Match | None:
         """See ScanMatcher."""
         settings = self._settings
+        self._before = [*self._recent], [*self._window]
         cloud, tree = self._with_covariances(self._near(points))
         match: Match | None = None
         if self._recent:
@@ -128,6 +143,15 @@ class GicpMatcher:
         if settings.local_map_scans > 1:
             self._window.append(cloud.points()[:, :3])
         return match
+
+    def undo(self) -> bool:
+        """See ScanMatcher."""
+        recent, window = self._before
+        self._recent.clear()
+        self._recent.extend(recent)
+        self._window.clear()
+        self._window.extend(window)
+        return True
 
     def match_over_gap(self, points: NDArray[np.float64], guess: gtsam.Pose3) -> Match | None:
         """See ScanMatcher."""

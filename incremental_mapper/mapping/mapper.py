@@ -116,9 +116,15 @@ class Mapper:
         self._shedding = NO_SHEDDING
         if store is None:
             store = make_store(config.map)  # may fail, so before any process is started
-        self._front_end = FrontEnd(config)
-        begin = self._front_end.begin if predict else None
-        self._buffer = WindowBuffer(config.window, awaited, predict, prefer_usable(config), begin)
+        self._front_end = FrontEnd(config, IMU in awaited)
+        self._buffer = WindowBuffer(
+            config.window,
+            awaited,
+            predict,
+            better=prefer_usable(config),
+            begin=self._front_end.begin if predict else None,
+            sample=self._front_end.imu,
+        )
         with waiting():  # while the front end's processes start
             linear_system.warm_up()
             self._strategy.warm_up()
@@ -173,6 +179,9 @@ class Mapper:
             taken = self._scans.take(measurement)
         if taken is not None:
             self._buffer.push(taken)
+        newest = self._buffer.newest
+        if newest is not None:
+            self._front_end.passed(newest)
         self._hold(self._buffer.pop_ready())
         yield from self.go_on(shedding)
 
@@ -342,7 +351,10 @@ class Mapper:
         """Whether the oldest ``count`` windows are ready, or have others waiting behind them."""
         if len(self._held) < count:
             return False
-        ready = all(preparation.done for _, preparation in self._held[:count])
+        oldest = [preparation for _, preparation in self._held[:count]]
+        if any(self._front_end.awaits_imu(preparation) for preparation in oldest):
+            return False  # what they get must not depend on how far others have come
+        ready = all(preparation.done for preparation in oldest)
         return ready or len(self._held) > count + self._shedding.read_ahead
 
     def _next_window(self, count: int) -> tuple[Window, list[Preparation]]:

@@ -80,7 +80,7 @@ class WindowBuffer:
     With ``predict`` none is waited for beyond what is usual for it. ``better`` tells whether a
     measurement takes the place of one with its sensor and stamp. ``begin`` is told of each one that
     goes on from its sensor's newest and is not ahead of the others: it will be handed out as the
-    next of its sensor.
+    next of its sensor. ``sample`` is told of each IMU sample that will be handed out.
     """
 
     def __init__(
@@ -90,11 +90,12 @@ class WindowBuffer:
         predict: bool = False,
         better: Callable[[CoreInput, CoreInput], bool] = lambda new, held: False,
         begin: Callable[[CoreInput], None] | None = None,
+        sample: Callable[[ImuSample], None] = lambda sample: None,
     ) -> None:
         self._awaited = set(sensors)
         self._predict = predict
         self._paces: dict[str, Pace] = {}
-        self._better, self._begin = better, begin
+        self._better, self._begin, self._sample = better, begin, sample
         self._begun: dict[str, int] = {}  # newest stamp by sensor
         self._unbegun: set[tuple[int, str]] = set()  # core measurements that wait
         self._duration = round(settings.duration * NANOSECONDS)
@@ -137,6 +138,11 @@ class WindowBuffer:
             self.drops[measurement.sensor, 'stamp_leap'] += 1
             return
         self._insert(measurement)
+
+    @property
+    def newest(self) -> int | None:
+        """Newest stamp (ns) that is believed; None before the first one."""
+        return max(self._newest.values(), default=None)
 
     def pop_ready(self) -> list[Window]:
         """Windows that no measurement in time can change any more, oldest first."""
@@ -244,6 +250,7 @@ class WindowBuffer:
                 self.drops[sensor, 'late'] += 1
             else:
                 self._imu[key] = measurement
+                self._sample(measurement)
         elif key in self._core:
             self.drops[sensor, 'duplicate_stamp'] += 1
             if self._better(measurement, self._core[key]):
