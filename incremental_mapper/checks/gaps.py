@@ -28,6 +28,9 @@ Tunnels cost fixes, so that half of them may be missing."""
 LONGEST = 10.0
 """Seconds without a LiDAR or an IMU that are told whatever their share; an unaided IMU is off by
 metres, a LiDAR alone by decimetres."""
+LONGEST_PAUSE = 86_400.0
+"""Seconds after which a drive that goes on is another one; a computer that starts without the time
+is in 1970 until it learns it."""
 SHORTEST_FIX_GAP, SHORT_DRIVE_GAP = 10.0, 2.0
 """Seconds without fixes that are nothing: a bridge, a row of trees; and where that would be most of
 a short drive. Receivers send once a second."""
@@ -57,15 +60,32 @@ def absence_findings(sensors: Sequence[Presence]) -> list[Finding]:
         sensors: those that sent at all, with stamps of one clock.
 
     Returns:
-        ``sensor_absent``: a sensor that came late, died, or was away in between.
+        ``sensor_absent``: a sensor that came late, died, or was away in between; ``clock_set``, an
+        error, where time leaps by more than a day, and then nothing else.
     """
     lidars = [item for item in sensors if item.sensor not in ('imu', 'gnss')]
     if not lidars:
         return []
+    leaps = [hole for item in lidars for hole in item.holes]
+    longest = max(leaps, key=lambda hole: hole[1] - hole[0], default=(0, 0))
+    if longest[1] - longest[0] > LONGEST_PAUSE * NANOSECONDS:
+        return [_clock_set(*longest)]
     first, last = min(item.first for item in sensors), max(item.last for item in sensors)
     return [
         finding for item in sensors if (finding := _absence(item, first, last, lidars)) is not None
     ]
+
+
+def _clock_set(before: int, after: int) -> Finding:
+    days = (after - before) / NANOSECONDS / LONGEST_PAUSE
+    return Finding(
+        'clock_set',
+        Severity.ERROR,
+        '',
+        f'time leaps by {days:.0f} days, from {before} to {after}: a computer that learned the '
+        'time, or two drives in one recording; nothing tells how the map goes on there',
+        'map the parts by themselves',
+    )
 
 
 def _absence(item: Presence, first: int, last: int, lidars: Sequence[Presence]) -> Finding | None:

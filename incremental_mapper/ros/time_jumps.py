@@ -9,8 +9,9 @@ one sensor's clock
     it goes on from there while another goes on as before: it is left out, counted and told, until
     its stamps agree with the others' again as they did before.
 all sensors' time
-    all others do the same or are silent: forwards it is a pause, or a clock that was set, and all
-    that was held is mapped; backwards the policy decides.
+    all others do the same or are silent: forwards it is a pause, and all that was held is mapped;
+    beyond a day it is a clock that was set, as that of a computer which has started without the
+    time, and a new map begins; backwards the policy decides.
 """
 
 from collections import Counter, deque
@@ -28,6 +29,8 @@ WITNESSES = 5
 OWN_AGREEMENT, AGREEMENT = 60 * NANOSECONDS, 10 * NANOSECONDS
 """Messages that are held for one jump are no further apart than this, of one sensor and of two;
 stray stamps are anywhere."""
+LONGEST_PAUSE = 86_400 * NANOSECONDS
+"""A drive that goes on after more than that is another one."""
 ALONE = 2
 """Another sensor that went on with so many messages did not take part in a jump."""
 HOLD = 4 * NANOSECONDS
@@ -266,7 +269,8 @@ class JumpFilter:
 
     def _jump(self, group: dict[str, _Sensor], witnesses: list[_Held]) -> Passed:
         """All sensors that are alive went somewhere: what was before is no measure any more."""
-        backwards = witnesses[0].stamp < group[witnesses[0].measurement.sensor].newest
+        by = witnesses[0].stamp - group[witnesses[0].measurement.sensor].newest
+        anew = not 0 <= by <= LONGEST_PAUSE
         for name, sensor in self._sensors.items():
             if name not in group:
                 self._drop(name, sensor, len(sensor.held))
@@ -278,8 +282,8 @@ class JumpFilter:
             sensor.held, sensor.away, sensor.alone = [], 0, False
         self._clock_jumped = False
         self.steps = {name: step for name, step in self.steps.items() if name not in group}
-        self.jumps += backwards
-        return Passed(tuple(item.measurement for item in witnesses), jumped=backwards)
+        self.jumps += anew
+        return Passed(tuple(item.measurement for item in witnesses), jumped=anew)
 
 
 def step_findings(

@@ -274,7 +274,7 @@ class Worker:
             with self._guarded():
                 self._drain()
                 self._save_quietly()
-                self._begin('stamps jumped backwards')
+                self._begin('stamps jumped')
         if passed.jumped:
             self._beginning.forget()  # the witnesses of the jump came before
         self._beginning.add(raw)

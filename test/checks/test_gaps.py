@@ -3,7 +3,7 @@
 import numpy as np
 
 from incremental_mapper.checks.finding import Severity
-from incremental_mapper.checks.gaps import silences
+from incremental_mapper.checks.gaps import Presence, absence_findings, silences
 from incremental_mapper.measurements import NANOSECONDS
 
 
@@ -32,3 +32,15 @@ def test_holes_are_counted_and_the_longest_is_placed():
 def test_lost_samples_of_an_imu_are_no_hole():
     stamps = np.delete(every(0.01, 1000), np.arange(500, 540))
     assert silences('imu', stamps) == []
+
+
+def test_time_that_leaps_by_years_is_said_and_nothing_that_follows_from_it():
+    """A computer that learned the time in the middle of a recording."""
+    before, after = 60 * 10**9, 50 * 365 * 86_400 * 10**9
+    both = [
+        Presence(sensor, 50 * 10**9, after + 10 * 10**9, ((before, after),))
+        for sensor in ('left', 'right', 'imu')
+    ]
+    (found,) = absence_findings(both)
+    assert found.rule == 'clock_set' and found.severity is Severity.ERROR
+    assert '18250 days' in found.text
