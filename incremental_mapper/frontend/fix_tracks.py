@@ -6,6 +6,7 @@ makes a second one beside the first.
 """
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -29,6 +30,8 @@ TOP_SPEED = 60.0
 """m/s; nothing that carries a LiDAR drives faster."""
 STEADY_SECONDS = 3.0
 """Seconds over which the motion of the fixes themselves may be followed."""
+CLIMB_CHANGE = 1.0
+"""m/s^2 by which the climb of a car changes; it crosses a kerb of 0.1 m in a tenth of a second."""
 TURN = 0.15
 """Radians, and share of the way, by which two tracks differ where both are right."""
 MEMBERS = 20
@@ -175,7 +178,22 @@ class Track:
         for number, level in enumerate(self.levels):
             if abs(above - level.offset) <= allowed:
                 return above, number
-        return above, None
+        # Odometry that has lost its level says that the car climbs; fixes go on as they did.
+        return (0.0, 0) if self._climbs_on(known, entry) else (above, None)
+
+    def _climbs_on(self, known: Sequence[Member], entry: Entry) -> bool:
+        """Whether a fix is as high as a car is that climbs on as between the two before."""
+        if len(known) < 2:
+            return False
+        older, newest = known[-2], known[-1]
+        before, passed = _seconds(older.entry, newest.entry), _seconds(newest.entry, entry)
+        if not (0.0 < before <= STEADY_SECONDS and 0.0 < passed <= STEADY_SECONDS):
+            return False
+        climb = float(newest.enu[2] - older.enu[2]) / before
+        noise = np.hypot(older.entry.sigma_up, np.hypot(newest.entry.sigma_up, entry.sigma_up))
+        freedom = 0.5 * CLIMB_CHANGE * passed * (passed + before) + NOISES * noise
+        off = float(self.datum.enu(entry.fix)[2] - newest.enu[2]) - climb * passed
+        return bool(abs(off) <= freedom)
 
     def add(self, entry: Entry, above: float, level: int | None) -> float | None:
         """Take a fix in.

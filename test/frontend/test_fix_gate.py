@@ -30,6 +30,7 @@ class Drive:
         self.gate = FixGate(GnssSettings(), np.zeros(3), method, fixed)
         self.speed = speed
         self.covariance = None
+        self.pitch = 0.0  # that odometry wrongly reads from scan to scan, rad
         self.scans = 0
         self.used, self.doubtful, self.refused, self.gone = {}, set(), {}, set()
         self.rng = np.random.default_rng(1)
@@ -41,7 +42,8 @@ class Drive:
         stamp = START + self.scans * NANOSECONDS // 10
         previous = stamp - NANOSECONDS // 10 if self.scans else None
         step = self.way(self.scans / 10) - self.way((self.scans - 1) / 10)
-        motion = gtsam.Pose3(gtsam.Rot3(), np.array([step, 0, 0])) if self.scans else None
+        turn = gtsam.Rot3.Pitch(self.pitch)
+        motion = gtsam.Pose3(turn, np.array([step, 0, 0])) if self.scans else None
         core = CoreMeasurement(stamp, 'left', CoreKind.LIDAR)
         nowhere, covariance = np.zeros((1, 3)), self.covariance if previous else None
         self.gate.scan(
@@ -160,6 +162,18 @@ def test_heights_of_another_datum_are_moved_back_or_left_out(period):
         assert abs(judged.enu[2]) < 0.3 or judged.covariance[2, 2] > 1e6
         if number > 8:
             assert judged.covariance[2, 2] == pytest.approx(SIGMA**2)
+
+
+def test_heights_are_right_where_odometry_has_lost_its_level():
+    """Scan matching on bare ground pitches by a fraction of a degree a second, and adds it up."""
+    drive = Drive(speed=10.0)
+    drive.pitch = 0.0005
+    for i in range(90):
+        drive.fix(i, float(i), np.zeros(3))
+    assert not drive.refused and drive.rules() == set()
+    assert all(
+        judged.covariance[2, 2] == pytest.approx(SIGMA**2) for judged in drive.used.values()
+    )
 
 
 def test_frozen_receiver_is_refused_while_the_car_moves_and_used_again_afterwards():
