@@ -18,7 +18,14 @@ from incremental_mapper.frontend.gnss import Datum, checked_covariance, fixed_da
 from incremental_mapper.frontend.imu_supply import ImuSupply, sweep_end
 from incremental_mapper.frontend.lidar_odometry import PreparedScan
 from incremental_mapper.frontend.odometry_process import LocalStation, ProcessStation, ScanStation
-from incremental_mapper.measurements import CoreInput, Drops, GnssFix, ImuSample, LidarScan
+from incremental_mapper.measurements import (
+    NANOSECONDS,
+    CoreInput,
+    Drops,
+    GnssFix,
+    ImuSample,
+    LidarScan,
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,6 +42,9 @@ class PreparedFix:
 
 
 Prepared: TypeAlias = PreparedScan | PreparedFix
+DENSEST = NANOSECONDS // 100
+"""Nanoseconds between two fixes that are used, at least. No receiver measures more often, and a
+window with dozens of them, each merged with its neighbours or not, cannot be searched."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,6 +95,7 @@ class FrontEnd:
             config.gnss.time_offset,
             {name: lidar.scale for name, lidar in config.lidars.items()},
         )
+        self._newest_fix = -DENSEST  # stamp of the newest one that is used
         self.drops: Drops = Counter()
         self.notes: Counter[str] = Counter()  # what was used, but not in full
         if config.odometry.processes:
@@ -232,7 +243,12 @@ class FrontEnd:
             self.gate.scan(scan)
             return scan
         assert isinstance(measurement, GnssFix)
+        if 0 <= measurement.stamp - self._newest_fix < DENSEST:
+            raise MeasurementError(
+                'too_dense', f'{measurement.sensor} at {measurement.stamp}: within 10 ms of another'
+            )
         judged = self.gate.fix(measurement, item)
+        self._newest_fix = measurement.stamp
         core = CoreMeasurement(measurement.stamp, measurement.sensor, CoreKind.GNSS)
         return PreparedFix(core, judged.enu, judged.covariance, judged.doubtful)
 

@@ -79,6 +79,9 @@ DROP_REASONS = {
     'frozen_fix': DropReason(
         'the position repeats while the vehicle moves', 'restart the receiver or its driver'
     ),
+    'too_dense': DropReason(
+        'another fix that is used is within 10 ms', 'see whether two drivers publish the topic'
+    ),
     'datum_outlier': DropReason('the first fixes contradict all later ones', 'none needed'),
     'far_from_datum': DropReason(
         'the fix is too far from the datum of the settings', 'correct the datum, or leave it out'

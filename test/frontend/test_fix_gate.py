@@ -171,9 +171,7 @@ def test_heights_are_right_where_odometry_has_lost_its_level():
     for i in range(90):
         drive.fix(i, float(i), np.zeros(3))
     assert not drive.refused and drive.rules() == set()
-    assert all(
-        judged.covariance[2, 2] == pytest.approx(SIGMA**2) for judged in drive.used.values()
-    )
+    assert all(judged.covariance[2, 2] == pytest.approx(SIGMA**2) for judged in drive.used.values())
 
 
 def test_frozen_receiver_is_refused_while_the_car_moves_and_used_again_afterwards():

@@ -77,3 +77,13 @@ def test_scan_and_fix_keep_their_order():
     found = end.prepare(core)
     assert [type(item) for item in found] == [PreparedScan, PreparedFix, PreparedScan]
     assert [item.core.stamp for item in found] == [m.stamp for m in core]
+
+
+def test_of_dozens_of_fixes_in_one_window_those_are_used_that_a_receiver_can_measure():
+    end = FrontEnd(make_config({}))
+    fixes = tuple(
+        GnssFix(stamp(0.002 * i), 'gps', 36.0, 127.0, 50.0, FixStatus.GBAS) for i in range(50)
+    )
+    found = end.prepare(fixes)
+    assert [item.core.stamp for item in found] == [one.stamp for one in fixes[::5]]
+    assert end.drops == {('gps', 'too_dense'): 40}
