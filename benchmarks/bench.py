@@ -13,7 +13,7 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from statistics import median
@@ -32,8 +32,9 @@ from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.mapping.statistics import STAGES, peak_rss_mb
 from incremental_mapper.measurements import LidarScan, Measurement
 from incremental_mapper.results.offline_run import effective_config, map_source
-from incremental_mapper.selection.selector import Choice, choose
-from incremental_mapper.selection.window_problem import Task
+from incremental_mapper.selection.choice import Choice
+from incremental_mapper.selection.strategies import Strategy, find_strategy
+from incremental_mapper.selection.window_problem import WindowProblem
 from incremental_mapper.settings import make_config, merge, read_yaml
 
 SEED = 3
@@ -93,6 +94,35 @@ def scoring(folder: Path, tree: Tree) -> dict[str, Any]:
     return verification
 
 
+class _Watched:
+    """A strategy whose choices are made by a function of it and the window."""
+
+    def __init__(
+        self, strategy: Strategy, select: Callable[[Strategy, WindowProblem], Choice]
+    ) -> None:
+        self._strategy, self._select = strategy, select
+
+    def select(self, problem: WindowProblem) -> Choice:
+        return self._select(self._strategy, problem)
+
+    def warm_up(self) -> None:
+        self._strategy.warm_up()
+
+
+def _watch_choices(select: Callable[[Strategy, WindowProblem], Choice]) -> None:
+    """Let mappers that are made from now on choose by ``select``."""
+    mapper_module.find_strategy = (  # type: ignore[attr-defined]
+        lambda name: _Watched(find_strategy(name), select)
+    )
+
+
+def _with_most(problem: WindowProblem, candidates: int) -> WindowProblem:
+    """A window of which so many candidates are enumerated before it is searched."""
+    config = problem.config
+    selection = config.selection.model_copy(update={'max_candidates': candidates})
+    return replace(problem, config=config.model_copy(update={'selection': selection}))
+
+
 def six_lidars(folder: Path, tree: Tree) -> dict[str, Any]:
     """Windows of six scans of six LiDARs: 243 candidates, all solved and scored."""
     source = open_source(folder, tree)
@@ -103,14 +133,14 @@ def six_lidars(folder: Path, tree: Tree) -> dict[str, Any]:
     config = make_config(merge(settings, merge(tree, {'window': {'duration': 0.3}})))
     taken: list[float] = []
 
-    def timed(task: Task, *rest: Any) -> Choice:
+    def timed(strategy: Strategy, problem: WindowProblem) -> Choice:
         began = time.perf_counter()
-        choice = choose(task, *rest)
+        choice = strategy.select(problem)
         if choice.solved == 243:
             taken.append(time.perf_counter() - began)
         return choice
 
-    mapper_module.choose = timed  # type: ignore[attr-defined]
+    _watch_choices(timed)
     mapper = _started(config, [*names, 'imu', 'gnss'])
     turns = dict.fromkeys(sides['names'], 0)
     for measurement in _first(source, 20.0):
@@ -159,21 +189,18 @@ def search(folder: Path, tree: Tree) -> dict[str, Any]:
     for strategy in ('mom', 'min_solver_error', 'min_time_shift'):
         pairs: list[tuple[bool, float]] = []
 
-        def both(
-            task: Task, plan: Any, selection: Any, mom: Any, *rest: Any, into: Any = pairs
-        ) -> Choice:
-            everything = selection.model_copy(update={'max_candidates': 10_000})
-            full = choose(task, plan, everything, mom, *rest)
-            if 2 < len(task.parts) <= 7 and full.winner is not None and full.connected > 1:
-                narrow = selection.model_copy(update={'max_candidates': 1})
-                picked = choose(task, plan, narrow, mom, *rest)
+        def both(strategy: Strategy, problem: WindowProblem, into: Any = pairs) -> Choice:
+            full = strategy.select(_with_most(problem, 10_000))
+            elements = len(problem.elements)
+            if 2 < elements <= 7 and full.winner is not None and full.connected > 1:
+                picked = strategy.select(_with_most(problem, 1))
                 scores = {item.candidate: item.score for item in full.tried}
                 own = scores.get(picked.winner) if picked.winner else None
                 regret = np.inf if own is None or not full.score else own / full.score - 1.0
                 into.append((picked.winner == full.winner, float(regret)))
             return full
 
-        mapper_module.choose = both  # type: ignore[attr-defined]
+        _watch_choices(both)
         for duration in (0.2, 0.3):
             settings = {'window': {'duration': duration}, 'selection': {'strategy': strategy}}
             source, config = opened(folder, merge(tree, settings))
