@@ -9,7 +9,7 @@ from incremental_mapper.datasets.message_conversion import fix_from_message
 from incremental_mapper.errors import MeasurementError
 from incremental_mapper.frontend.front_end import FrontEnd
 from incremental_mapper.frontend.gnss import checked_covariance
-from incremental_mapper.measurements import NO_VERTICAL_SIGMA, make_fix
+from incremental_mapper.measurements import NANOSECONDS, NO_VERTICAL_SIGMA, make_fix
 
 NAN = float('nan')
 KNOWN = np.diag([0.04, 0.09, 0.25])
@@ -68,7 +68,7 @@ def test_without_altitude_and_covariance_the_default_is_horizontal():
 def heights(altitudes) -> tuple[list[float], float]:
     front_end = FrontEnd(Config())
     ups = [
-        float(front_end.prepare((fix(i + 1, altitude),))[0].enu[2])
+        float(front_end.prepare((fix((i + 1) * NANOSECONDS, altitude),))[0].enu[2])
         for i, altitude in enumerate(altitudes)
     ]
     assert front_end.datum is not None
