@@ -103,6 +103,8 @@ def assert_complete(folder):
 def test_node_makes_of_a_played_bag_what_map_makes_of_it(start, bag, tmp_path):
     saved = tmp_path / 'saved'
     programs = start(ROOMY, {'save': {'folder': str(saved)}})
+    # The player waits for the node alone: what is sent before the client is found is lost to it.
+    programs.wait(lambda: programs.client.diagnostics, 'the node')
     player = programs.play(bag, '--rate', 0.5)
     messages = read_inputs(bag)
     programs.wait(lambda: player.poll() is not None, 'end of the playing')
