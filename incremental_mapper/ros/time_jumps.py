@@ -31,6 +31,9 @@ OWN_AGREEMENT, AGREEMENT = 60 * NANOSECONDS, 10 * NANOSECONDS
 stray stamps are anywhere."""
 LONGEST_PAUSE = 86_400 * NANOSECONDS
 """A drive that goes on after more than that is another one."""
+FAR_PROOF = NANOSECONDS
+"""By so much the stamps of those that prove such a leap go on: stray ones of a clock that was never
+set are all of one second."""
 ALONE = 2
 """Another sensor that went on with so many messages did not take part in a jump."""
 HOLD = 4 * NANOSECONDS
@@ -240,8 +243,12 @@ class JumpFilter:
         # What is on its way when the clock went back still belongs to the time before.
         if self._clock_jumped and not forwards:
             return group
-        enough = sum(len(item.held) for item in group.values()) >= WITNESSES
-        return group if enough and len(sensor.held) > 1 else None
+        stamps = [held.stamp for item in group.values() for held in item.held]
+        far = abs(last - sensor.newest) > LONGEST_PAUSE
+        enough = len(stamps) >= WITNESSES and len(sensor.held) > 1
+        if far and max(stamps) - min(stamps) < FAR_PROOF:
+            return None
+        return group if enough else None
 
     def _tell_of_step(self, name: str, sensor: _Sensor, stamp: int) -> None:
         """Keep that a clock stepped, where it goes on like that and others as before."""

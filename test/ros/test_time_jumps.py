@@ -294,3 +294,17 @@ def test_a_pause_of_an_hour_does_not():
     jumps = JumpFilter(TimeJumpSettings())
     _, begun = feed(jumps, [*drive(3), *drive(5, start=START + HOUR)])
     assert not begun
+
+
+def test_stamps_of_a_clock_that_was_never_set_end_no_drive_whatever_their_number():
+    """All of second 12, and the last that come; the drive before them is the map."""
+    sound = drive(8, start=50 * YEAR)
+    rng = np.random.default_rng(2)
+    stray = [
+        made(sensor, 12 * SECOND + int(rng.integers(0, SECOND)))
+        for sensor in rng.choice(list(RATES), 40)
+    ]
+    jumps = JumpFilter(TimeJumpSettings())
+    passed, begun = feed(jumps, [*sound, *stray])
+    assert passed == sound and not begun
+    assert balanced(jumps, [*sound, *stray], passed)
