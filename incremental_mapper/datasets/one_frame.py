@@ -11,10 +11,12 @@ FOREIGN = 'foreign_frame'
 RENAMED = 5 * NANOSECONDS
 """Nanoseconds without a message of a sensor's own frame_id after which another one is its new
 name: a receiver of 1 Hz may miss a few."""
+OUTNUMBERS = 3
+"""Or so many times as many messages of another one: the first message was a stray one."""
 
 
 class OneFrame:
-    """Lets one frame_id a sensor pass: the first one, as long as it goes on.
+    """Lets one frame_id a sensor pass: the first one, as long as it goes on and is no stray one.
 
     Two antennas, or two IMUs, on one topic would be taken for one that jumps to and fro. LiDARs on
     one topic are each mapped, and are told apart elsewhere. ``drops`` counts what does not pass.
@@ -25,6 +27,7 @@ class OneFrame:
         self._own: dict[str, str] = {}
         self._newest: dict[str, int] = {}  # stamp of the own frame_id
         self._foreign: Counter[tuple[str, str]] = Counter()
+        self._count: Counter[tuple[str, str]] = Counter()
 
     def take(self, sensor: str, frame: str, stamp: int) -> bool:
         """Tell whether a message is the sensor's.
@@ -35,8 +38,10 @@ class OneFrame:
             stamp: Its header stamp, ns.
         """
         own = self._own.setdefault(sensor, frame)
+        self._count[sensor, frame] += 1
         if frame != own:
-            if stamp - self._newest[sensor] <= RENAMED:
+            few = self._count[sensor, frame] < OUTNUMBERS * self._count[sensor, own]
+            if few and stamp - self._newest[sensor] <= RENAMED:
                 self._foreign[sensor, frame] += 1
                 self.drops[sensor, FOREIGN] += 1
                 return False

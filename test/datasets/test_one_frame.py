@@ -29,3 +29,15 @@ def test_each_sensor_has_a_frame_of_its_own():
     frames = OneFrame()
     assert frames.take('imu', 'imu', 0) and frames.take('gnss', 'gnss', 0)
     assert not frames.findings() and not frames.drops
+
+
+def test_a_first_message_that_is_a_stray_one_does_not_take_the_sensor():
+    frames = OneFrame()
+    assert frames.take('imu', 'stray', 0)
+    passed = [frames.take('imu', 'imu', at) for at in range(1, 101)]
+    assert passed == [False] * 2 + [True] * 98
+    assert not frames.take('imu', 'stray', 101)
+    assert all(
+        frames.take('gnss', 'front', at) and not frames.take('gnss', 'rear', at + 1)
+        for at in range(0, 40, 2)
+    ), 'two of one rate: the first stays'
