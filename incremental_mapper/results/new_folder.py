@@ -25,10 +25,7 @@ def write_folder(target: Path, write: Callable[[Path], object]) -> Path:
     """
     scratch: Path | None = None
     try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        scratch = Path(tempfile.mkdtemp(prefix=f'.{target.name}.', dir=target.parent))
-        # mkdtemp makes folders that only their owner can read.
-        scratch.chmod(0o755)
+        scratch = hidden_folder(target)
         write(scratch)
         sync_folder(scratch)
         place = free_name(target)
@@ -41,6 +38,22 @@ def write_folder(target: Path, write: Callable[[Path], object]) -> Path:
         if scratch is not None:
             shutil.rmtree(scratch, ignore_errors=True)
     return place
+
+
+def hidden_folder(target: Path) -> Path:
+    """Make an empty hidden folder beside a path, to be given that name when it is complete.
+
+    Args:
+        target: The path; the folders above it are made.
+
+    Raises:
+        OSError: It cannot be made.
+    """
+    target.parent.mkdir(parents=True, exist_ok=True)
+    scratch = Path(tempfile.mkdtemp(prefix=f'.{target.name}.', dir=target.parent))
+    # mkdtemp makes folders that only their owner can read.
+    scratch.chmod(0o755)
+    return scratch
 
 
 def sync_folder(folder: Path) -> None:

@@ -4,7 +4,6 @@ Data only. Pictures and ``candidates.parquet`` take longer and can be made after
 """
 
 import shutil
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,7 +16,7 @@ from incremental_mapper.measurements import Drops
 from incremental_mapper.results.candidate_spool import CandidateSpool
 from incremental_mapper.results.candidate_table import FILE_NAME, candidate_recorder
 from incremental_mapper.results.journal.journal_writer import Journal
-from incremental_mapper.results.new_folder import free_name, sync_folder
+from incremental_mapper.results.new_folder import free_name, hidden_folder, sync_folder
 from incremental_mapper.results.run_folder import GRAPH, TRAJECTORY, write_result
 from incremental_mapper.results.run_statistics import InputFacts, RunStatistics
 
@@ -177,10 +176,7 @@ def _attempt(target: Path, write: Callable[[Path], None]) -> _Attempt:
     """Write into a hidden folder beside ``target``."""
     scratch: Path | None = None
     try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        scratch = Path(tempfile.mkdtemp(prefix=f'.{target.name}.', dir=target.parent))
-        # mkdtemp makes folders that only their owner can read.
-        scratch.chmod(0o755)
+        scratch = hidden_folder(target)
         write(scratch)
         sync_folder(scratch)
     except OSError as error:

@@ -20,6 +20,7 @@ from dataclasses import dataclass, field
 from statistics import median_low
 
 from incremental_mapper.checks.finding import Finding, Severity
+from incremental_mapper.checks.gaps import LONGEST_PAUSE
 from incremental_mapper.checks.sensor_clocks import listed, setting_name, setting_tree
 from incremental_mapper.config import TimeJumpPolicy, TimeJumpSettings
 from incremental_mapper.measurements import NANOSECONDS, Drops, Measurement
@@ -29,8 +30,7 @@ WITNESSES = 5
 OWN_AGREEMENT, AGREEMENT = 60 * NANOSECONDS, 10 * NANOSECONDS
 """Messages that are held for one jump are no further apart than this, of one sensor and of two;
 stray stamps are anywhere."""
-LONGEST_PAUSE = 86_400 * NANOSECONDS
-"""A drive that goes on after more than that is another one."""
+_LONGEST_PAUSE = round(LONGEST_PAUSE * NANOSECONDS)
 FAR_PROOF = NANOSECONDS
 """By so much the stamps of those that prove such a leap go on: stray ones of a clock that was never
 set are all of one second."""
@@ -244,7 +244,7 @@ class JumpFilter:
         if self._clock_jumped and not forwards:
             return group
         stamps = [held.stamp for item in group.values() for held in item.held]
-        far = abs(last - sensor.newest) > LONGEST_PAUSE
+        far = abs(last - sensor.newest) > _LONGEST_PAUSE
         enough = len(stamps) >= WITNESSES and len(sensor.held) > 1
         if far and max(stamps) - min(stamps) < FAR_PROOF:
             return None
@@ -277,7 +277,7 @@ class JumpFilter:
     def _jump(self, group: dict[str, _Sensor], witnesses: list[_Held]) -> Passed:
         """All sensors that are alive went somewhere: what was before is no measure any more."""
         by = witnesses[0].stamp - group[witnesses[0].measurement.sensor].newest
-        anew = not 0 <= by <= LONGEST_PAUSE
+        anew = not 0 <= by <= _LONGEST_PAUSE
         for name, sensor in self._sensors.items():
             if name not in group:
                 self._drop(name, sensor, len(sensor.held))

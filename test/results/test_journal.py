@@ -3,13 +3,13 @@
 import contextlib
 import json
 import os
-import resource
 import sys
 import zlib
 from collections import Counter
 
 import numpy as np
 import pytest
+from full_disk import largest_file
 
 from incremental_mapper.cli.main import main
 from incremental_mapper.datasets.open import open_source
@@ -196,17 +196,6 @@ def test_places_without_a_journal_are_named(tmp_path):
         find_journals(tmp_path)
     with pytest.raises(InputError, match='does not exist'):
         find_journals(tmp_path / 'nowhere')
-
-
-@contextlib.contextmanager
-def largest_file(size):
-    """No file may become larger while the block runs, as on a disk that is full."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def test_recovery_onto_a_full_disk_leaves_no_half_folder(mapped, tmp_path):

@@ -1,13 +1,12 @@
 """Where a map goes: its place, a place beside it, the fallback, or what there is of it."""
 
-import contextlib
 import json
 import os
-import resource
 from collections import Counter
 from pathlib import Path
 
 import pytest
+from full_disk import largest_file
 
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.errors import OutputError
@@ -36,17 +35,6 @@ def mapped(light_drive):
 @pytest.fixture(scope='module')
 def snapshot(mapped):
     return Snapshot(mapped[0], Counter(), 1.0, InputFacts('here', 'test', {}), (), 1.0)
-
-
-@contextlib.contextmanager
-def largest_file(size):
-    """No file may become larger while the block runs, as on a disk that is full."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def names(folder):
