@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from odometry import changed
 
 from incremental_mapper.datasets.open import open_source
+from incremental_mapper.frontend.gnss import align_track
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.mapping.newest_state import NewestState
 from incremental_mapper.measurements import NANOSECONDS, GnssFix, Measurement
@@ -106,11 +107,8 @@ def normalised(
 
 def fit(estimate: Trajectory, real: Trajectory, counted: NDArray[np.bool_]) -> NDArray[np.float64]:
     """T_truth_map (4, 4) by the positions of some poses; both have their z axis upwards."""
-    a, b = estimate.positions[counted], real.positions[counted]
-    flat = [(track - track.mean(axis=0))[:, :2] @ (1.0, 1j) for track in (a, b)]
-    yaw = float(np.angle(np.vdot(*flat)))
-    rotation = gtsam.Rot3.Yaw(yaw)
-    return gtsam.Pose3(rotation, b.mean(axis=0) - rotation.matrix() @ a.mean(axis=0)).matrix()
+    yaw, shift = align_track(real.positions[counted], estimate.positions[counted])
+    return gtsam.Pose3(gtsam.Rot3.Yaw(yaw), shift).matrix()
 
 
 def main() -> None:
