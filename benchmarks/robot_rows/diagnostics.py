@@ -20,7 +20,7 @@ from std_msgs.msg import Header
 
 from incremental_mapper.ros.programs import free_domain, local_environment, node_command, running
 from incremental_mapper.ros.publishers import reliable
-from incremental_mapper.ros.result_messages import cloud_message, time_message
+from incremental_mapper.ros.rclpy_types import MESSAGES
 from robot_rows import Seen, row
 
 PERIOD = 1.0
@@ -107,7 +107,7 @@ class Robot:
     def _sender(self, name: str, send: Callable[[Header], None]) -> Callable[[], None]:
         def on_time() -> None:
             if self.sends[name]:
-                stamp: Time = time_message(self.frozen or time.time_ns())
+                stamp: Time = MESSAGES.time(self.frozen or time.time_ns())
                 send(Header(stamp=stamp, frame_id=name))
 
         return on_time
@@ -116,7 +116,7 @@ class Robot:
         stamp = header.stamp.sec * 10**9 + header.stamp.nanosec
         noise = np.random.default_rng(stamp).normal(0.0, 0.01, self._walls.shape)
         points = np.full((500, 3), np.nan) if self.empty else self._walls + noise
-        self._publishers['points_left'].publish(cloud_message(stamp, points, 'left'))
+        self._publishers['points_left'].publish(MESSAGES.cloud(stamp, points, 'left'))
 
     def _sample(self, header: Header) -> None:
         message = Imu(header=header)

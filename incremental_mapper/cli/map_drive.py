@@ -6,6 +6,7 @@ What a run needs is imported when there is one: the help should not wait for it.
 import argparse
 import sys
 import time
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +15,7 @@ from incremental_mapper.cli.inputs import add_input
 
 if TYPE_CHECKING:
     from incremental_mapper.config import Tree
+    from incremental_mapper.results.watching import Watch
     from incremental_mapper.trajectory import Trajectory
 
 STRATEGIES = 'mom, base, min_time_shift, min_solver_error, fewest'
@@ -55,6 +57,12 @@ def add_parser(subparsers: Any) -> None:
         help='score every candidate by direct search too and report the agreement (slow)',
     )
     parser.add_argument(
+        '--bag',
+        action='store_true',
+        help="write run_bag too: poses, path, map, graph and statistics on the node's topics, for "
+        'RViz and Foxglove',
+    )
+    parser.add_argument(
         '--force', action='store_true', help='write into OUT_DIR although it is not empty'
     )
     parser.add_argument('--verbose', action='store_true', help='print all numbers of the run')
@@ -77,7 +85,9 @@ def run(args: argparse.Namespace) -> int:
         print(f'note: {note}', file=sys.stderr)
     stop = Stop()
     with stop.listening(), Progress(drive.source.info.count) as progress:
-        done, remarks = map_into(args.out_dir, drive, progress.read, stop, progress.stage)
+        done, remarks = map_into(
+            args.out_dir, drive, progress.read, stop, progress.stage, _watch(args)
+        )
         progress.stage('report')
         _write_report(args.out_dir, drive.truth)
     found = [note for note in done.statistics.input.notes if note not in drive.all_notes()]
@@ -95,6 +105,16 @@ def run(args: argparse.Namespace) -> int:
     if done.statistics.interrupted:
         return exit_status.INTERRUPTED
     return exit_status.FAILURE if failed else 0
+
+
+def _watch(args: argparse.Namespace) -> 'list[Watch]':
+    """What is made of the run beside its files."""
+    watch: list[Watch] = []
+    if args.bag:
+        from incremental_mapper.results.messages.output_bag import output_bag
+
+        watch.append(partial(output_bag, args.out_dir))
+    return watch
 
 
 def _settings(args: argparse.Namespace) -> 'Tree':

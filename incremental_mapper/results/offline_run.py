@@ -7,7 +7,7 @@ import gc
 import signal
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import FrameType
@@ -38,6 +38,7 @@ from incremental_mapper.results.run_folder import (
 from incremental_mapper.results.run_statistics import InputFacts, RunStatistics
 from incremental_mapper.results.survey import BRIEF, survey
 from incremental_mapper.results.trajectory_errors import trajectory_errors
+from incremental_mapper.results.watching import RunWatcher, Watch
 from incremental_mapper.settings import make_config, merge, read_yaml
 from incremental_mapper.trajectory import Trajectory
 from incremental_mapper.visualization.extras import left_out
@@ -189,6 +190,7 @@ def map_into(
     progress: Callable[[int], Any] | None = None,
     stop: Stop | None = None,
     stage: Callable[[str], object] = _nobody,
+    watch: Sequence[Watch] = (),
 ) -> tuple[Run, list[str]]:
     """Map a drive and write all its files, pictures included.
 
@@ -198,6 +200,7 @@ def map_into(
         progress: See ``map_source``.
         stop: See ``map_source``.
         stage: Called with what comes next, once the input has been read.
+        watch: Begin to watch a run; what goes wrong with them is raised once all is written.
 
     Returns:
         The run, and remarks on files that could not be made, one line each.
@@ -209,14 +212,18 @@ def map_into(
         KeyboardInterrupt: It was stopped before anything was mapped.
     """
     journals: list[Journal] = []
+    troubles: list[str] = []
     check_formats(drive.config.map.formats)
 
     def attempt(drive: Drive, may_mend: bool) -> Run:
         with (
             candidate_recorder(folder / FILE_NAME) as record,
             _journaling(drive) as journal,
+            ExitStack() as stack,
         ):
-            run = _map_once(drive, progress, stop, record, may_mend, journal, stage)
+            watchers = [stack.enter_context(begin(drive.config)) for begin in watch]
+            run = _map_once(drive, progress, stop, record, may_mend, journal, stage, watchers)
+        troubles[:] = [watcher.trouble for watcher in watchers if watcher.trouble]
         journals.extend([] if journal is None else [journal])
         return run
 
@@ -234,6 +241,8 @@ def map_into(
         journal.remove()
     stage('pictures')
     draw_result(folder, run.result, run.points, drive.truth)
+    if troubles:
+        raise OutputError(f'{"; ".join(troubles)}; all else is in {folder}')
     missing = left_out((FILE_NAME, 'pictures'))
     return run, [] if missing is None else [missing]
 
@@ -358,6 +367,7 @@ def _map_once(
     may_mend: bool = False,
     journal: Journal | None = None,
     stage: Callable[[str], object] = _nobody,
+    watchers: Sequence[RunWatcher] = (),
 ) -> Run:
     """As ``map_source``; raises MendError, if it may, where the data prove a setting wrong."""
     source, config, truth = drive.source, drive.config, drive.truth
@@ -368,6 +378,8 @@ def _map_once(
                 journal.window(mapper, window, source.drops)
             if observe is not None:
                 observe(window)
+            for watcher in watchers:
+                watcher.window(mapper, window)
 
     sensors = [name for name, count in source.info.counts.items() if count]
     mapper = Mapper(config, sensors, store=journal)
@@ -398,6 +410,8 @@ def _map_once(
         raise _nothing_used(source)
     stage('map')
     cloud = result.cloud(config.map)
+    for watcher in watchers:
+        watcher.finish(result, cloud)
     errors = None if truth is None else trajectory_errors(result.trajectory, truth)
     info = source.info
     statistics = RunStatistics.of_run(

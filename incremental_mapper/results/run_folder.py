@@ -34,6 +34,7 @@ from incremental_mapper.results.candidate_table import FILE_NAME, read_window
 from incremental_mapper.results.graph_json import graph_tree
 from incremental_mapper.results.manifest import FILE as MANIFEST
 from incremental_mapper.results.manifest import FORMAT, Manifest
+from incremental_mapper.results.messages.output_bag import remove_bag
 from incremental_mapper.selection.window_record import FILE as WINDOW_FILE
 from incremental_mapper.trajectory import Trajectory, read_tum, write_tum
 from incremental_mapper.variables import cluster_of, pose_key
@@ -88,6 +89,7 @@ def prepare_folder(folder: Path, force: bool) -> None:
             for name in dict.fromkeys((*FILES, *EXTRA_FILES, *exported)):
                 (folder / name).unlink(missing_ok=True)
                 (folder / f'.{name}.partial').unlink(missing_ok=True)
+            remove_bag(folder)
             for path in folder.glob(WINDOW_FILE.format('[0-9]*')):
                 path.unlink()
     except OSError as error:

@@ -25,8 +25,8 @@ except ImportError as error:
 
 from incremental_mapper.errors import InputError
 from incremental_mapper.measurements import NANOSECONDS
+from incremental_mapper.results.messages.result_messages import read_status
 from incremental_mapper.ros.publishers import reliable
-from incremental_mapper.ros.result_messages import read_status
 
 DEPTH = 10_000
 """Messages that may wait: a client that counts must not lose any."""

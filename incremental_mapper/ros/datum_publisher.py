@@ -6,11 +6,10 @@ from typing import Any
 
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
-from sensor_msgs.msg import NavSatFix, NavSatStatus
+from sensor_msgs.msg import NavSatFix
 
-from incremental_mapper.ros.result_messages import header
+from incremental_mapper.ros.rclpy_types import MESSAGES
 
-NO_FIX = NavSatStatus.STATUS_NO_FIX
 LATCHED = QoSProfile(
     history=HistoryPolicy.KEEP_LAST,
     depth=1,
@@ -50,7 +49,7 @@ class DatumPublisher:
 
     def _publish(self, datum: list[float], stamp: int) -> None:
         if self._point is None:
-            self._publisher.publish(datum_fix(datum, stamp, self._frame))
+            self._publisher.publish(MESSAGES.datum(datum, stamp, self._frame))
             return
         latitude, longitude, altitude = datum
         point = self._point(latitude=latitude, longitude=longitude, altitude=altitude)
@@ -64,22 +63,3 @@ def geographic_point() -> Any:
     except ImportError:
         return None
     return GeoPoint
-
-
-def datum_fix(datum: list[float], stamp: int, frame: str) -> NavSatFix:
-    """A datum as a fix that knows nothing of its errors.
-
-    Args:
-        datum: Degrees, degrees, metres; NaN where there is none.
-        stamp: When it was known, ns.
-        frame: Whose origin it is.
-    """
-    latitude, longitude, altitude = datum
-    return NavSatFix(
-        header=header(stamp, frame),
-        status=NavSatStatus(status=NO_FIX if math.isnan(latitude) else NavSatStatus.STATUS_FIX),
-        latitude=latitude,
-        longitude=longitude,
-        altitude=altitude,
-        position_covariance_type=NavSatFix.COVARIANCE_TYPE_UNKNOWN,
-    )

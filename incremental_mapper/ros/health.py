@@ -13,7 +13,7 @@ from incremental_mapper.mapping.load_shedding import NO_SHEDDING
 from incremental_mapper.mapping.statistics import STAGES
 from incremental_mapper.ros.drop_log import DropLog
 from incremental_mapper.ros.known_findings import KnownFindings
-from incremental_mapper.ros.result_messages import status
+from incremental_mapper.ros.rclpy_types import MESSAGES
 from incremental_mapper.ros.subscriptions import GNSS, Inputs
 from incremental_mapper.ros.updates import WindowUpdate
 from incremental_mapper.ros.vitals import (
@@ -165,7 +165,7 @@ class Health:
             'overwritten': losses.overwritten,
             'dropped': dict(counts.dropped),
         }
-        return status(f'{self._name}: {sensor}', level, message, values, hardware=topic)
+        return MESSAGES.status(f'{self._name}: {sensor}', level, message, values, hardware=topic)
 
     def _queue(self, flow: Verdict | None, recent: set[str]) -> DiagnosticStatus:
         core, imu = self._worker.inbox.waiting()
@@ -208,7 +208,7 @@ class Health:
             wrong.append(Verdict(Level.WARN, 'falling behind: less search'))
         level = LEVELS[max((item.level for item in wrong), default=Level.OK)]
         message = '; '.join(item.message for item in wrong) or 'keeps up'
-        return status(f'{self._name}: worker', level, message, values)
+        return MESSAGES.status(f'{self._name}: worker', level, message, values)
 
     def _map(
         self, drops: Mapping[str, Mapping[str, int]], flow: Verdict | None, recent: set[str]
@@ -229,4 +229,4 @@ class Health:
             level, message = DiagnosticStatus.WARN, f'windows failed: {values["failed_windows"]}'
         elif flow is not None:
             level, message = DiagnosticStatus.WARN, f'does not grow: {flow.message}'
-        return status(f'{self._name}: map', level, message, values)
+        return MESSAGES.status(f'{self._name}: map', level, message, values)

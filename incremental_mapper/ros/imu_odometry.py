@@ -9,12 +9,12 @@ from rclpy.node import Node
 
 from incremental_mapper.config import Config
 from incremental_mapper.datasets.sensor_settings import with_settings
+from incremental_mapper.mapping.following import PoseUpdate
 from incremental_mapper.mapping.imu_prediction import ImuPrediction
 from incremental_mapper.measurements import ImuSample, Measurement
-from incremental_mapper.ros.finite_gate import FiniteGate
+from incremental_mapper.results.messages.finite_gate import FiniteGate
 from incremental_mapper.ros.publishers import QUIET, node_name, reliable
-from incremental_mapper.ros.result_messages import odometry_message, status
-from incremental_mapper.ros.updates import PoseUpdate
+from incremental_mapper.ros.rclpy_types import MESSAGES
 
 DEPTH = 100
 """Samples that wait for a slow reader."""
@@ -47,7 +47,7 @@ class ImuOdometry:
         pose = predicted.pose.matrix()
         if self._gate.passes('~/odometry_imu', pose=pose, velocity=predicted.velocity):
             frames = self._config.frames
-            self._publisher.publish(odometry_message(predicted, frames.odom, frames.base))
+            self._publisher.publish(MESSAGES.odometry(predicted, frames.odom, frames.base))
 
     def pose(self, update: PoseUpdate) -> None:
         """Start from a window's newest state."""
@@ -72,9 +72,9 @@ class ImuOdometry:
             'largest_correction_m': round(self._most, 4),
         }
         if stopped is None and rate > 0.0:
-            return status(self._name, DiagnosticStatus.OK, 'predicting', values)
+            return MESSAGES.status(self._name, DiagnosticStatus.OK, 'predicting', values)
         silent = 'no usable IMU sample comes' if stopped is None else stopped
-        return status(self._name, DiagnosticStatus.WARN, str(silent), values)
+        return MESSAGES.status(self._name, DiagnosticStatus.WARN, str(silent), values)
 
 
 def make_imu_odometry(node: Node, config: Config) -> ImuOdometry | None:

@@ -6,7 +6,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
 from incremental_mapper.checks.finding import Finding, Severity, ranked
-from incremental_mapper.ros.result_messages import status
+from incremental_mapper.ros.rclpy_types import MESSAGES
 
 SUSPICIONS = 'nothing suspicious'
 LEVELS = {
@@ -73,7 +73,7 @@ class KnownFindings:
             f'{item.rule} {item.sensor}'.strip(): f'{item.severity}: {item.line()}'
             for item in found
         }
-        return status(f'{node}: checks', level, message, values)
+        return MESSAGES.status(f'{node}: checks', level, message, values)
 
     def _tell(self, findings: Iterable[Finding]) -> None:
         for finding in findings:

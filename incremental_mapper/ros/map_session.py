@@ -10,10 +10,10 @@ from typing import TypeAlias
 
 from incremental_mapper.checks.finding import Finding, ranked
 from incremental_mapper.config import Config, Tree
+from incremental_mapper.mapping.following import Follower, PoseUpdate
 from incremental_mapper.mapping.load_shedding import NO_SHEDDING, LoadShedding
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.mapping.newest_state import NewestState
-from incremental_mapper.mapping.odometry_frame import OdometryFrame
 from incremental_mapper.mapping.result import WindowResult
 from incremental_mapper.mapping.statistics import peak_rss_mb
 from incremental_mapper.measurements import Drops, Measurement
@@ -22,11 +22,9 @@ from incremental_mapper.results.candidate_table import FILE_NAME
 from incremental_mapper.results.journal.journal_writer import Journal
 from incremental_mapper.results.run_statistics import InputFacts
 from incremental_mapper.ros.inbox import View
-from incremental_mapper.ros.live_map import LiveMap
 from incremental_mapper.ros.saving import Snapshot
 from incremental_mapper.ros.subscriptions import GNSS, IMU
-from incremental_mapper.ros.updates import PoseUpdate, ViewUpdate, WindowUpdate
-from incremental_mapper.smoothing.graph_state import PlacedScan
+from incremental_mapper.ros.updates import ViewUpdate, WindowUpdate
 from incremental_mapper.visualization.extras import LIBRARIES
 
 Told: TypeAlias = PoseUpdate | WindowUpdate
@@ -69,10 +67,9 @@ class MapSession:
         except BaseException:
             self.discard()
             raise
-        self._live = LiveMap(self._mapper)
+        self._follower = Follower(self._mapper)
+        self._live = self._follower.live
         self._started: float | None = None
-        self._odometry = OdometryFrame(config.odometry)
-        self._scans = 0
         # Looked for, not imported: the process that saves needs it, not this one.
         wanted = config.save.candidates and find_spec(LIBRARIES[FILE_NAME]) is not None
         folder = Path(config.map.store_folder) if config.map.store_folder else None
@@ -190,24 +187,23 @@ class MapSession:
         """What is told of windows: first the pose that others steer by, then all else."""
         for result in results:
             self.limited_windows += shedding.candidates is not None
-            newest = self._mapper.newest() if result.clusters or result.joined else None
-            if newest is not None:
-                yield PoseUpdate(newest, self._odometry.follow(self._mapper.state, newest))
-            yield self._update(result, newest)
+            pose = self._follower.pose(result)
+            if pose is not None:
+                yield pose
+            yield self._update(result, None if pose is None else pose.newest)
 
     def _update(self, result: WindowResult, newest: NewestState | None) -> WindowUpdate:
         if self.journal is not None:
             self.journal.window(self._mapper, result, self._outside())
-        self._live.follow()
         if self._spool is not None:
             self._spool.add(result)
+        scans = self._follower.new_scans()
         stats, wall = self._mapper.stats(), self._wall()
         stats |= {
             'wall_s': wall,
             'real_time_factor': stats['drive_s'] / wall if wall > 0 else 0.0,
             'peak_rss_mb': peak_rss_mb(),
         }
-        scans = self._new_scans()
         memory = sum(scan.stored.memory for scan in scans)
         self.scan_bytes += memory
         self.disk_bytes += sum(scan.stored.nbytes for scan in scans) - memory
@@ -215,11 +211,6 @@ class MapSession:
         points = self._live.placed(scans)
         findings = ranked([*self._mended, *self._mapper.findings])
         return WindowUpdate(result, newest, points, stats, findings)
-
-    def _new_scans(self) -> Sequence[PlacedScan]:
-        scans = self._mapper.state.scans
-        before, self._scans = self._scans, len(scans)
-        return scans[before:]
 
 
 def journal_folder(config: Config) -> Path | None:

@@ -29,6 +29,7 @@ except ImportError as error:
 
 from incremental_mapper.config import Tree
 from incremental_mapper.errors import ConfigError, MapperError
+from incremental_mapper.mapping.following import PoseUpdate
 from incremental_mapper.mapping.load_shedding import NO_SHEDDING
 from incremental_mapper.measurements import Drops, Measurement
 from incremental_mapper.ros.arguments import read_own_arguments
@@ -47,7 +48,6 @@ from incremental_mapper.ros.programs import NODE_NAME
 from incremental_mapper.ros.publishers import Outputs, node_name
 from incremental_mapper.ros.subscriptions import Inputs
 from incremental_mapper.ros.updates import (
-    PoseUpdate,
     Reply,
     Restarted,
     Trouble,

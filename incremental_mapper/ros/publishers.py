@@ -18,22 +18,17 @@ from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
 from incremental_mapper.config import Config
+from incremental_mapper.mapping.following import PoseUpdate
+from incremental_mapper.mapping.live_map import GraphView, PathView
+from incremental_mapper.results.messages.finite_gate import FiniteGate
+from incremental_mapper.results.messages.graph_markers import graph_markers, no_markers
+from incremental_mapper.results.messages.result_messages import in_odom
 from incremental_mapper.ros.datum_publisher import DatumPublisher
-from incremental_mapper.ros.finite_gate import FiniteGate
 from incremental_mapper.ros.inbox import Inbox, View
-from incremental_mapper.ros.live_map import GraphView, PathView
-from incremental_mapper.ros.markers import graph_markers, no_markers
 from incremental_mapper.ros.parameters import NodeParameters
-from incremental_mapper.ros.result_messages import (
-    cloud_message,
-    in_odom,
-    odometry_message,
-    path_message,
-    pose_array,
-    stats_message,
-)
+from incremental_mapper.ros.rclpy_types import MESSAGES
 from incremental_mapper.ros.transforms import make_transforms
-from incremental_mapper.ros.updates import PoseUpdate, ViewUpdate, WindowUpdate
+from incremental_mapper.ros.updates import ViewUpdate, WindowUpdate
 from incremental_mapper.ros.view_pace import ViewPace
 
 QUIET = PublisherEventCallbacks(use_default_callbacks=False)
@@ -114,9 +109,9 @@ class Outputs:
         if not self._sound(update):
             return
         newest, frames = update.newest, self._frames
-        self._odometry.publish(odometry_message(newest, frames.map, frames.base))
+        self._odometry.publish(MESSAGES.odometry(newest, frames.map, frames.base))
         in_frame = in_odom(newest, update.odometry)
-        self._odom.publish(odometry_message(in_frame, frames.odom, frames.base))
+        self._odom.publish(MESSAGES.odometry(in_frame, frames.odom, frames.base))
         if self.transforms is not None:
             self.transforms.send(newest.stamp, newest.pose, update.odometry.pose)
 
@@ -126,16 +121,16 @@ class Outputs:
         stamp = result.end if newest is None else newest.stamp
         frame = self._frames.map
         name = f'{self._node_name}: graph'
-        self._stats.publish(stats_message(stamp, result.row, update.stats, name))
+        self._stats.publish(MESSAGES.stats(stamp, result.row, update.stats, name))
         self._datum.take(update.stats, stamp)
         if newest is None:
             return
         self._windows += 1
         if self._gate.passes('~/poses', poses=[pose.matrix() for pose in result.poses]):
-            self._poses.publish(pose_array(stamp, result.poses, frame))
+            self._poses.publish(MESSAGES.pose_array(stamp, result.poses, frame))
         wanted = self._increment.get_subscription_count() > 0
         if wanted and self._gate.passes('~/map_increment', points=update.points):
-            self._increment.publish(cloud_message(stamp, update.points, frame))
+            self._increment.publish(MESSAGES.cloud(stamp, update.points, frame))
 
     def _sound(self, update: PoseUpdate) -> bool:
         """Whether the newest state may be published."""
@@ -172,11 +167,11 @@ class Outputs:
         if not self._gate.passes(f'~/{update.view}', **numbers):
             return
         if isinstance(content, PathView):
-            message = path_message(update.stamp, content, frame)
+            message = MESSAGES.path(update.stamp, content, frame)
         elif isinstance(content, GraphView):
-            message = graph_markers(content, frame)
+            message = graph_markers(MESSAGES, content, frame)
         else:
-            message = cloud_message(update.stamp, content, frame)
+            message = MESSAGES.cloud(update.stamp, content, frame)
         shown.publisher.publish(message)
         shown.pace.cost = update.seconds + time.monotonic() - begin
 
@@ -187,9 +182,9 @@ class Outputs:
         empty = np.zeros((0, 3), dtype=np.float32)
         frame = self._frames.map
         for view, message in (
-            (View.MAP, cloud_message(0, empty, frame)),
-            (View.PATH, path_message(0, PathView([], []), frame)),
-            (View.GRAPH, no_markers(frame)),
+            (View.MAP, MESSAGES.cloud(0, empty, frame)),
+            (View.PATH, MESSAGES.path(0, PathView([], []), frame)),
+            (View.GRAPH, no_markers(MESSAGES, frame)),
         ):
             self._views[view].publisher.publish(message)
             self._views[view].published = self._windows

@@ -12,9 +12,8 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 
 from incremental_mapper.config import FrameSettings, TfMode, TfSettings
 from incremental_mapper.datasets.static_transforms import MOVING_TOPIC, STATIC_TOPIC, clean
-from incremental_mapper.graph.factors import pose_numbers
 from incremental_mapper.measurements import NANOSECONDS
-from incremental_mapper.ros.result_messages import header
+from incremental_mapper.ros.rclpy_types import MESSAGES
 from incremental_mapper.ros.robot_odometry import RobotOdometry
 
 Send: TypeAlias = Callable[[list[TransformStamped]], object]
@@ -133,9 +132,5 @@ def make_transforms(node: Node, settings: TfSettings, frames: FrameSettings) -> 
 
 def transform_message(stamp: int, parent: str, child: str, pose: gtsam.Pose3) -> TransformStamped:
     """T_parent_child as a message; names have no slash in front."""
-    message = TransformStamped(header=header(stamp, clean(parent)), child_frame_id=clean(child))
-    x, y, z, *turn = pose_numbers(pose)
-    shift, rotation = message.transform.translation, message.transform.rotation
-    shift.x, shift.y, shift.z = x, y, z
-    rotation.x, rotation.y, rotation.z, rotation.w = turn
+    message: TransformStamped = MESSAGES.transform(stamp, clean(parent), clean(child), pose)
     return message

@@ -8,19 +8,11 @@ from numpy.typing import NDArray
 
 from incremental_mapper.checks.finding import Finding
 from incremental_mapper.config import Config
+from incremental_mapper.mapping.following import PoseUpdate
+from incremental_mapper.mapping.live_map import GraphView, PathView
 from incremental_mapper.mapping.newest_state import NewestState
-from incremental_mapper.mapping.odometry_frame import OdometryPose
 from incremental_mapper.mapping.result import WindowResult
 from incremental_mapper.ros.inbox import View
-from incremental_mapper.ros.live_map import GraphView, PathView
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PoseUpdate:
-    """Where the car is, as soon as a window is solved; its ``WindowUpdate`` follows."""
-
-    newest: NewestState
-    odometry: OdometryPose
 
 
 @dataclass(frozen=True, slots=True, eq=False)

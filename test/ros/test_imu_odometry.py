@@ -15,12 +15,12 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from ros_helpers import next_domain, stamp_of
 
+from incremental_mapper.mapping.following import PoseUpdate
 from incremental_mapper.mapping.newest_state import NewestState
 from incremental_mapper.mapping.odometry_frame import OdometryPose
 from incremental_mapper.measurements import FixStatus, GnssFix, ImuSample
+from incremental_mapper.results.messages.result_messages import read_status
 from incremental_mapper.ros.imu_odometry import make_imu_odometry
-from incremental_mapper.ros.result_messages import read_status
-from incremental_mapper.ros.updates import PoseUpdate
 from incremental_mapper.settings import make_config
 
 SECOND = 1_000_000_000

@@ -19,7 +19,7 @@ from ros_helpers import (
 from scipy.spatial import cKDTree
 from sensor_msgs.msg import PointCloud2
 
-from incremental_mapper.ros.result_messages import read_status
+from incremental_mapper.results.messages.result_messages import read_status
 from incremental_mapper.trajectory import read_tum
 
 MEASURED = {'wall_s', 'real_time_factor', 'peak_rss_mb', 'seconds_by_stage'}

@@ -14,12 +14,12 @@ from rclpy.signals import SignalHandlerOptions
 from ros_helpers import next_domain
 
 from incremental_mapper.config import QueueSettings
+from incremental_mapper.mapping.following import PoseUpdate
 from incremental_mapper.mapping.newest_state import NewestState
 from incremental_mapper.mapping.odometry_frame import OdometryPose
 from incremental_mapper.ros.inbox import Inbox
 from incremental_mapper.ros.parameters import NodeParameters
 from incremental_mapper.ros.publishers import Outputs, reliable
-from incremental_mapper.ros.updates import PoseUpdate
 
 SECOND = 1_000_000_000
 

@@ -14,6 +14,7 @@ pytest.importorskip('rclpy', reason='rclpy is not installed (extra "ros")')
 
 from incremental_mapper.checks.finding import Finding, Severity
 from incremental_mapper.datasets.open import open_source
+from incremental_mapper.mapping.following import PoseUpdate
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.mapping.watch import Watch
 from incremental_mapper.results.offline_run import effective_config
@@ -22,7 +23,6 @@ from incremental_mapper.ros import beginning
 from incremental_mapper.ros import worker as worker_module
 from incremental_mapper.ros.inbox import Command, Order, Renewal, View
 from incremental_mapper.ros.updates import (
-    PoseUpdate,
     Reply,
     Restarted,
     Trouble,

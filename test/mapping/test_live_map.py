@@ -5,9 +5,9 @@ import pytest
 
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.map.cloud import accumulate
+from incremental_mapper.mapping.live_map import LiveMap
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.results.offline_run import effective_config
-from incremental_mapper.ros.live_map import LiveMap
 
 SECOND = 1_000_000_000
 

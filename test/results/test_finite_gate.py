@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from incremental_mapper.ros.finite_gate import FiniteGate
+from incremental_mapper.results.messages.finite_gate import FiniteGate
 
 
 def test_message_passes_where_all_its_numbers_are_finite_and_is_told_of_once_where_not():
