@@ -1,6 +1,6 @@
 """Runs one peer over prepared measurements; it lives in the peers' environment, see ``peers.py``.
 
-    python peer_runner.py (kiss-icp|rko_lio) FOLDER OUT.npz
+    python peer_runner.py (kiss-icp|kiss-slam|rko_lio) FOLDER OUT.npz
 
 FOLDER holds ``events.npz`` and a file for each scan. Written are stamps (ns), poses (N, 4, 4), the
 seconds that the peer itself took, and its version. Nothing of the package is imported.
@@ -37,6 +37,37 @@ def kiss_icp(events: Any, folder: Path) -> tuple[list[int], list[Any], float]:
     return stamps, poses, spent
 
 
+def kiss_slam(events: Any, folder: Path) -> tuple[list[int], list[Any], float]:
+    """KISS-SLAM with its defaults, after its last optimisation; poses of base_link."""
+    from kiss_slam.config import load_config
+    from kiss_slam.slam import KissSLAM
+
+    slam, spent = KissSLAM(load_config(None)), 0.0
+    lidar = events['T_base_lidar']
+    stamps = []
+    for kind, stamp in zip(events['kinds'], events['stamps'], strict=True):
+        if kind < 0:
+            continue
+        scan = np.load(folder / f'{kind}.npy').astype(np.float64)
+        times = scan[:, 3] - scan[:, 3].min()
+        shares = times / times.max() if times.max() > 0.0 else np.array([])
+        began = time.perf_counter()
+        slam.process_scan(np.ascontiguousarray(scan[:, :3]), shares)
+        spent += time.perf_counter() - began
+        stamps.append(int(stamp) + round(float(scan[:, 3].max()) * 1e9))
+    began = time.perf_counter()
+    slam.generate_new_node()
+    slam.local_map_graph.erase_last_local_map()
+    found, _ = slam.fine_grained_optimization()
+    spent += time.perf_counter() - began
+    poses = [lidar @ np.asarray(pose) @ np.linalg.inv(lidar) for pose in found]
+    print(
+        f'kiss-slam: {len(slam.get_closures())} closures, {len(stamps)} scans, {len(poses)} poses'
+    )
+    count = min(len(poses), len(stamps))
+    return stamps[:count], poses[:count], spent
+
+
 def rko_lio(events: Any, folder: Path) -> tuple[list[int], list[Any], float]:
     """rko_lio with its defaults; poses of base_link."""
     from rko_lio.config import LIOConfig
@@ -70,7 +101,7 @@ def main() -> None:
     """Run the peer that is named."""
     name, folder, out = sys.argv[1], Path(sys.argv[2]), sys.argv[3]
     events = np.load(folder / 'events.npz')
-    run = {'kiss-icp': kiss_icp, 'rko_lio': rko_lio}[name]
+    run = {'kiss-icp': kiss_icp, 'kiss-slam': kiss_slam, 'rko_lio': rko_lio}[name]
     stamps, poses, spent = run(events, folder)
     np.savez(out, stamps=stamps, poses=poses, seconds=spent, version=version(name))
 

@@ -286,6 +286,35 @@ class GraphSettings(Section):
     """Node: shortest time between two publications of the markers, in seconds."""
 
 
+class ClosureSettings(Section):
+    """Loop closure: places that a drive passes again hold its poses together."""
+
+    enabled: bool = True
+    """Look for them before a map is saved."""
+    map_length: float = Field(default=20.0, ge=2.0, le=500.0)
+    """Metres of way whose scans make one local map; local maps are what is compared."""
+    voxel_size: float = Field(default=0.4, ge=0.05, le=5.0)
+    """Local maps are thinned to this grid, in metres."""
+    max_range: float = Field(default=50.0, ge=5.0, le=1000.0)
+    """Points further from base_link than this many metres do not enter local maps."""
+    min_travel: float = Field(default=60.0, ge=1.0, le=1e6)
+    """Metres of way between two passes of a place at the least: what is nearer, odometry knows."""
+    radius: float = Field(default=25.0, ge=0.0, le=10_000.0)
+    """Local maps whose poses are so many metres apart or less are compared. Further ones are where
+    the extra ``closures`` is installed and they look alike from above."""
+    candidates: int = Field(default=3, ge=1, le=1000)
+    """Earlier local maps that one is compared with, each by place and by looks."""
+    min_overlap: float = Field(default=0.6, ge=0.0, le=1.0)
+    """A smaller share of what stands on the ground, seen by both, makes no closure."""
+    floor_translation: Sigma = 0.05
+    """Standard deviation in metres that a closure has at the least, each axis, since local maps are
+    bent themselves."""
+    floor_rotation: Sigma = 0.003
+    """The same in radians."""
+    robust_threshold: float = Field(default=3.0, ge=0.0, le=100.0)
+    """Huber threshold in standard deviations; 0 switches the robust loss off."""
+
+
 class SelectionSettings(Section):
     """How candidates are enumerated and scored."""
 
@@ -546,6 +575,7 @@ class Config(Section):
     fixes: GnssSettings = GnssSettings()
     datum: DatumSettings = DatumSettings()
     graph: GraphSettings = GraphSettings()
+    closure: ClosureSettings = ClosureSettings()
     selection: SelectionSettings = SelectionSettings()
     mom: MomSettings = MomSettings()
     map: MapSettings = MapSettings()

@@ -28,6 +28,7 @@ class FactorKind(StrEnum):
     CONSTANT_VELOCITY = 'continuity_velocity'
     BIAS_RANDOM_WALK = 'continuity_bias'
     BRIDGE = 'bridge'
+    CLOSURE = 'closure'
 
 
 BETWEEN_STATES = frozenset({FactorKind.CONSTANT_VELOCITY, FactorKind.BIAS_RANDOM_WALK})
@@ -134,6 +135,44 @@ def _describe_between(factor: Any) -> dict[str, Any]:
     return told
 
 
+def closure_factor(
+    keys: tuple[int, int],
+    T_first_second: gtsam.Pose3,
+    covariance: NDArray[np.float64],
+    robust_threshold: float,
+    stamps: tuple[int, int],
+) -> Factor:
+    """Relative pose of two clusters that saw the same place, under a robust loss.
+
+    ``covariance`` (6, 6) is that of ``T_first_second`` in the frame of the second, rotation first;
+    ``robust_threshold`` is Huber's, in standard deviations, 0 for none.
+    """
+    noise = _robust(gtsam.noiseModel.Gaussian.Covariance(covariance), robust_threshold)
+    return Factor(
+        kind=FactorKind.CLOSURE,
+        keys=keys,
+        factor=gtsam.BetweenFactorPose3(*keys, T_first_second, noise),
+        stamps=stamps,
+        describe=partial(_describe_closure, covariance),
+    )
+
+
+def _describe_closure(covariance: NDArray[np.float64], factor: Any) -> dict[str, Any]:
+    return {
+        'T_first_second': factor.measured(),
+        'sigmas': np.sqrt(np.diag(covariance)).tolist(),
+        'covariance': covariance[UPPER].tolist(),
+    }
+
+
+def _robust(noise: gtsam.noiseModel.Base, threshold: float) -> gtsam.noiseModel.Base:
+    if threshold <= 0:
+        return noise
+    return gtsam.noiseModel.Robust.Create(
+        gtsam.noiseModel.mEstimator.Huber.Create(threshold), noise
+    )
+
+
 def gnss_factor(
     key: int,
     position: NDArray[np.float64],
@@ -144,10 +183,7 @@ def gnss_factor(
     stamp: int,
 ) -> Factor:
     """Antenna position (3,) in the map, metres; ``lever_arm`` (3,) is the antenna in base_link."""
-    noise: gtsam.noiseModel.Base = gtsam.noiseModel.Gaussian.Covariance(covariance)
-    if robust_threshold > 0:
-        loss = gtsam.noiseModel.mEstimator.Huber.Create(robust_threshold)
-        noise = gtsam.noiseModel.Robust.Create(loss, noise)
+    noise = _robust(gtsam.noiseModel.Gaussian.Covariance(covariance), robust_threshold)
     return Factor(
         kind=FactorKind.GNSS,
         keys=(key,),
@@ -323,6 +359,7 @@ def beside_gtsam(factor: Factor) -> dict[str, Any]:
 _BESIDE = {
     FactorKind.GNSS: ('covariance', 'lever_arm'),
     FactorKind.IMU: ('span_ns', 'samples'),
+    FactorKind.CLOSURE: ('covariance',),
 }
 
 
@@ -339,6 +376,10 @@ def describer(kind: FactorKind, beside: Mapping[str, Any]) -> Describe:
     if kind is FactorKind.IMU:
         start, end = beside['span_ns']
         return partial(_describe_imu, (start, end), beside['samples'])
+    if kind is FactorKind.CLOSURE:
+        covariance = np.zeros((6, 6))
+        covariance[UPPER] = beside['covariance']
+        return partial(_describe_closure, np.triu(covariance) + np.triu(covariance, 1).T)
     return {
         FactorKind.ODOMETRY: _describe_between,
         FactorKind.BRIDGE: _describe_between,

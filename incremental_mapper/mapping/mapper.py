@@ -34,6 +34,7 @@ from incremental_mapper.mapping.imu_intake import ImuIntake
 from incremental_mapper.mapping.joining import join, joinable
 from incremental_mapper.mapping.judgement import judge_map
 from incremental_mapper.mapping.load_shedding import NO_SHEDDING, LoadShedding
+from incremental_mapper.mapping.loop_closing import close_loops
 from incremental_mapper.mapping.newest_state import NewestState, newest_state
 from incremental_mapper.mapping.result import MapResult, WindowResult, fixes_in_map, trajectory_of
 from incremental_mapper.mapping.row_archive import RowArchive
@@ -234,20 +235,23 @@ class Mapper:
     def result(self) -> MapResult:
         """The map of all windows so far; the mapper can go on afterwards.
 
-        G(t) is optimised once more for it if ``graph.final_optimization`` says so.
+        G(t) is optimised once more for it if ``graph.final_optimization`` says so, and again with
+        the loops that the drive closes (``closure``).
         """
         values, failed = final_values(self._state, self.config)
         self._totals.solver_failures += int(failed)
+        closed = close_loops(self._state, values, self.config)
+        values = closed.values
         clusters = tuple(self._state.clusters)
         return MapResult(
             clusters=clusters,
-            factors=tuple(self._state.factors),
+            factors=(*self._state.factors, *closed.factors),
             values=values,
             trajectory=trajectory_of(clusters, values),
             scans=tuple(self._state.scans),
             fixes=fixes_in_map(self._state),
             rows=self._rows.all(),
-            statistics=self.statistics,
+            statistics=closed.counted(self.statistics),
             findings=self._watch.final(
                 lambda: judge_map(self._state, values, self.config),
                 lambda: outcome_findings(self._outcome()),

@@ -136,6 +136,8 @@ class MapStatistics:
     one included; ``vertices_saved_by_ties`` is what the smallest of them had less than that one.
     ``standing_windows`` are those whose ``joined_measurements`` added no variable;
     ``weak_matches`` are those that the scans hold weakly in some direction.
+    ``closures`` counts the pairs of local maps that were compared (``candidates``), the
+    ``accepted`` ones, and the others by why they are no closures; empty where nothing was.
     ``verification`` is left out where nothing was verified.
     """
 
@@ -167,6 +169,7 @@ class MapStatistics:
     cut_windows: int
     merged_windows: int
     bridges: int
+    closures: dict[str, int]
     weak_matches: int
     solver_failures: int
     failed_windows: int
@@ -200,7 +203,7 @@ class MapStatistics:
         """
         names = {key: name for name, key in KEYS.items()}
         made = {names.get(key, key): value for key, value in tree.items()}
-        return cls(**{'verification': None, **made})
+        return cls(**{'verification': None, 'closures': {}, **made})
 
 
 def map_statistics(
@@ -247,9 +250,9 @@ def map_statistics(
         base_vertices=base.vertices,
         base_factors=base.total_factors,
         base_factors_by_kind={str(kind): count for kind, count in base.factors.items()},
-        compression_vertices_percent=_percent(vertices, base.vertices),
-        compression_factors_percent=_percent(factors, base.total_factors),
-        compression_clusters_percent=_percent(clusters, base.clusters),
+        compression_vertices_percent=percent_saved(vertices, base.vertices),
+        compression_factors_percent=percent_saved(factors, base.total_factors),
+        compression_clusters_percent=percent_saved(clusters, base.clusters),
         total_time_shift_s=totals.time_shift / NANOSECONDS,
         solver_error=totals.solver_error,
         candidates_enumerated=totals.enumerated,
@@ -264,6 +267,7 @@ def map_statistics(
         cut_windows=totals.cut_windows,
         merged_windows=totals.merged_windows,
         bridges=totals.bridges,
+        closures={},
         weak_matches=sum(count for text, count in notes.items() if text.endswith(WEAK)),
         solver_failures=totals.solver_failures,
         failed_windows=totals.failed_windows,
@@ -288,7 +292,8 @@ def peak_rss_mb() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
 
 
-def _percent(count: int, base: int) -> float:
+def percent_saved(count: int, base: int) -> float:
+    """How much less a count is than that of the base graph, in percent; 0 where that has none."""
     return 100.0 * (1.0 - count / base) if base else 0.0
 
 

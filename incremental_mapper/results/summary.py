@@ -33,6 +33,7 @@ def brief(stats: Mapping[str, Any], seconds: float) -> str:
                 f'{_metres(stats["rpe_per_second_translation_rmse_m"])}',
             )
         )
+    rows += _closures(stats)
     place = '' if stats['georeferenced'] else ', not georeferenced: in a frame of its own'
     rows.append(('map', f'{stats["map_points"]} points{place}'))
     return _aligned(rows + _losses(stats))
@@ -52,6 +53,7 @@ def summary(stats: Mapping[str, Any]) -> str:
         ('factors', _against(stats, 'factors')),
         ('', ', '.join(f'{count} {kind}' for kind, count in by_kind.items())),
         ('components', _components(stats)),
+        *_closures(stats),
         ('total time shift', f'{stats["total_time_shift_s"]:.4f} s'),
         ('solver error', f'{stats["solver_error"]:.4f}'),
     ]
@@ -152,6 +154,15 @@ def _components(stats: Mapping[str, Any]) -> str:
     count = stats['components']
     text = '1, the graph is connected' if count == 1 else f'{count}, the graph is not connected'
     return text + _bridges(stats)
+
+
+def _closures(stats: Mapping[str, Any]) -> list[tuple[str, str]]:
+    counts = stats.get('closures')
+    if not counts:
+        return []
+    others = {name: n for name, n in counts.items() if name not in ('candidates', 'accepted')}
+    text = f'{counts["accepted"]} of {counts["candidates"]} pairs of places that may be the same'
+    return [('loops closed', text + (f'; not: {_counts(others)}' if others else ''))]
 
 
 def _bridges(stats: Mapping[str, Any]) -> str:

@@ -28,6 +28,7 @@ def graph_legend(graphs: Sequence[Record], theme: Theme) -> list[tuple[str, str,
     factors += [('GNSS', theme.green)] if 'gnss' in kinds else []
     factors += [('prior', theme.ink)] if any(kind.startswith('prior') for kind in kinds) else []
     factors += [('bridge', theme.grey)] if 'bridge' in kinds else []
+    factors += [('closure', theme.unconnected_edge)] if 'closure' in kinds else []
     nodes = [('variable', 'node', theme.node, theme.ink)]
     if any(unconnected_variables(graph) for graph in graphs):
         nodes.append(('not connected', 'node', theme.unconnected, theme.unconnected_edge))

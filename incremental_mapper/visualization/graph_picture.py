@@ -270,6 +270,9 @@ def _draw_factors(canvas: _Canvas, graph: Record, shown: set[int]) -> int:
         spots = [canvas.spots[key] for key in keys]
         if kind == 'odometry':
             _draw_arc(canvas, spots, canvas.colours[factor['sensor']], above[factor['sensor']])
+        elif kind == 'closure':
+            # Its other end lies minutes away: it leaves the picture.
+            _draw_arc(canvas, spots, canvas.theme.unconnected_edge, max(above.values(), default=0))
         elif kind == 'imu':
             hub = ((min(x for x, _ in spots) + max(x for x, _ in spots)) / 2, ROWS['velocity'])
             _draw_star(canvas, hub, spots, canvas.theme.orange)

@@ -1,5 +1,7 @@
 """Factors and the plain numbers that they are read back as."""
 
+from dataclasses import replace
+
 import gtsam
 import numpy as np
 import pytest
@@ -10,10 +12,13 @@ from incremental_mapper.frontend.imu_preintegration import preintegrate, preinte
 from incremental_mapper.graph.factors import (
     Factor,
     FactorKind,
+    beside_gtsam,
     between_factor,
     bias_prior,
     bias_random_walk,
+    closure_factor,
     constant_velocity_prior,
+    describer,
     gnss_factor,
     imu_factor,
     pose_numbers,
@@ -90,6 +95,27 @@ def test_relative_pose_is_as_loose_in_each_direction_of_the_second_as_its_covari
     told = np.zeros((6, 6))
     told[np.triu_indices(6)] = made.data['covariance']
     assert told + np.triu(told, 1).T == pytest.approx(noise)
+
+
+@pytest.mark.parametrize('threshold', [0.0, 2.0])
+def test_closure_is_a_relative_pose_whose_pull_is_bounded(threshold):
+    keys = pose_key(1), pose_key(2)
+    noise = np.diag(pose_sigmas(0.5, 0.1) ** 2)
+    made = closure_factor(keys, POSE, noise, threshold, (3, 4))
+    for metres in (0.5, 5.0):
+        moved = POSE.compose(gtsam.Pose3(gtsam.Rot3(), np.array([metres, 0.0, 0.0])))
+        far = metres / 0.5
+        expected = 2.0 * threshold * (far - threshold / 2.0) if 0.0 < threshold < far else far**2
+        assert squared(made, at(x1=START, x2=START.compose(moved))) == pytest.approx(expected)
+    assert (made.kind, made.keys, made.sensor, made.stamps) == (
+        FactorKind.CLOSURE,
+        keys,
+        None,
+        (3, 4),
+    )
+    assert made.data['sigmas'] == pytest.approx([0.1] * 3 + [0.5] * 3)
+    read_back = replace(made, describe=describer(FactorKind.CLOSURE, beside_gtsam(made)))
+    assert read_back.data == made.data
 
 
 COVARIANCE = np.diag([0.04, 0.09, 0.25])

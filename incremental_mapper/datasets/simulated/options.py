@@ -17,6 +17,8 @@ class SceneKind(StrEnum):
     STREET = 'street'
     CURVE = 'curve'
     FIELD = 'field'
+    REVISIT = 'revisit'
+    TERRACE = 'terrace'
 
 
 class MotionKind(StrEnum):

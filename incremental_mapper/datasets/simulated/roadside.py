@@ -80,6 +80,23 @@ def houses(
     return meshes
 
 
+def houses_alike(frontage: Frontage, height: Height) -> list[Mesh]:
+    """A row of houses of which one is like the other."""
+    width = 10.0
+    parts = _house_parts(width, 2.0 * FLOOR, np.random.default_rng(0))
+    along = np.arange(width / 2.0, frontage.length - width / 2.0, width + 2.0)
+    middles, yaws = frontage.place(along, np.zeros(len(along)))
+    meshes: list[Mesh] = []
+    for middle, yaw in zip(middles, yaws.tolist(), strict=True):
+        forward = np.array([np.cos(yaw), np.sin(yaw)])
+        left = np.array([-forward[1], forward[0]])
+        points = middle + parts[:, :1] * forward + parts[:, 1:2] * left
+        z = height(middle[None])[0] - 0.5 + parts[:, 2]
+        turns, paint = np.full(len(parts), yaw), np.full(len(parts), 0.4)
+        meshes.append(boxes(np.column_stack([points, z]), parts[:, 3:], turns, paint))
+    return meshes
+
+
 def _house_parts(width: float, tall: float, rng: np.random.Generator) -> Array:
     """Boxes of one house (P, 6): middle of the bottom (along, inward, up) and size, in metres.
 

@@ -1,6 +1,7 @@
 """The surroundings of a simulated drive: meshes, the ground's shape and the road through them."""
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +23,7 @@ from incremental_mapper.datasets.simulated.roadside import (
     SIDEWALK,
     Frontage,
     houses,
+    houses_alike,
     parked_cars,
     straight_frontage,
     street_furniture,
@@ -42,6 +44,11 @@ ASPHALT, PAVEMENT, GRASS = 0.15, 0.3, 0.25
 STREETS_X = (0.0, 150.0, 260.0)
 STREETS_Y = (0.0, 90.0, 180.0)
 CORNERS = ((0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2))
+# A way through the same streets with left turns alone, which the car begins shortly before the
+# second corner: after 420 m it drives along a street again, after 780 m it meets another head-on.
+REVISITING = (
+    (0, 0), (2, 0), (2, 1), (1, 1), (1, 0), (2, 0), (2, 2), (1, 2), (1, 1), (2, 1), (2, 2), (0, 2),
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,16 +70,34 @@ def make_scene(kind: SceneKind, seed: int) -> Scene:
     rng = np.random.default_rng([seed, 1])
     # Away from the axes, so that a wrong yaw cannot pass unnoticed.
     yaw = float(rng.integers(4) * np.pi / 2.0 + rng.uniform(0.3, 1.2))
-    builders = {SceneKind.STREET: _street, SceneKind.CURVE: _curve, SceneKind.FIELD: _field}
+    builders = {
+        SceneKind.STREET: _street,
+        SceneKind.CURVE: _curve,
+        SceneKind.FIELD: _field,
+        SceneKind.REVISIT: _revisit,
+        SceneKind.TERRACE: _terrace,
+    }
     route, terrain, meshes = builders[kind](rng)
     return Scene(turned(join(meshes), yaw), route, terrain, yaw)
 
 
 def _street(rng: np.random.Generator) -> tuple[Route, Terrain, list[Mesh]]:
     """A grid of streets; the loop has five left turns and a right turn."""
+    return _streets(CORNERS, (11.0, 11.0, 11.0, 8.0, 11.0, 11.0), rng)
+
+
+def _revisit(rng: np.random.Generator) -> tuple[Route, Terrain, list[Mesh]]:
+    """The same grid of streets; the loop passes some of them twice, in either direction."""
+    return _streets(REVISITING, (11.0,) * len(REVISITING), rng)
+
+
+def _streets(
+    corners: Sequence[tuple[int, int]], radii: Sequence[float], rng: np.random.Generator
+) -> tuple[Route, Terrain, list[Mesh]]:
+    """A grid of streets, and a loop over some of its crossings, by their numbers."""
     terrain = make_terrain(0.004, (15.0, 60.0), rng)
-    middles = np.array([[STREETS_X[i], STREETS_Y[j]] for i, j in CORNERS])
-    route = polygon_route(_outset(middles, LANE), radii=(11.0, 11.0, 11.0, 8.0, 11.0, 11.0))
+    middles = np.array([[STREETS_X[i], STREETS_Y[j]] for i, j in corners])
+    route = polygon_route(_outset(middles, LANE), radii)
     low = np.array([STREETS_X[0], STREETS_Y[0]]) - MARGIN
     high = np.array([STREETS_X[-1], STREETS_Y[-1]]) + MARGIN
     meshes = [ground(low, high, 2.0, terrain.height, ASPHALT)]
@@ -83,6 +108,28 @@ def _street(rng: np.random.Generator) -> tuple[Route, Terrain, list[Mesh]]:
             corner = np.array([west, south]) + HALF_ROAD
             size = np.array([east - west, north - south]) - 2.0 * HALF_ROAD
             meshes += _block(corner, size, terrain, rng)
+    return route, terrain, meshes
+
+
+def _terrace(rng: np.random.Generator) -> tuple[Route, Terrain, list[Mesh]]:
+    """A loop past houses that are all alike, with nothing else to tell one place from another."""
+    terrain = make_terrain(0.0, (15.0, 60.0), rng)
+    middles = np.array([[0.0, 0.0], [250.0, 0.0], [250.0, 110.0], [0.0, 110.0]])
+    route = polygon_route(_outset(middles, LANE), radii=(11.0,) * 4)
+    low, high = middles.min(0) - MARGIN, middles.max(0) + MARGIN
+    meshes = [ground(low, high, 2.0, terrain.height, ASPHALT)]
+    inner = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    back = HALF_ROAD + SIDEWALK
+    for side in range(4):
+        yaw = side * np.pi / 2.0
+        start = middles[side] + back * (1.0 - 2.0 * inner[side])
+        length = float(np.linalg.norm(middles[(side + 1) % 4] - middles[side])) - 2.0 * back
+        meshes += houses_alike(straight_frontage(start, yaw, length), terrain.height)
+        # Across the road they look the other way.
+        far = middles[(side + 1) % 4] + back * (
+            np.array([np.sin(yaw), -np.cos(yaw)]) - np.array([np.cos(yaw), np.sin(yaw)])
+        )
+        meshes += houses_alike(straight_frontage(far, yaw + np.pi, length), terrain.height)
     return route, terrain, meshes
 
 

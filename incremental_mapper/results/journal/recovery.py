@@ -22,6 +22,7 @@ from incremental_mapper.graph.factors import Factor, FactorKind, describer
 from incremental_mapper.map.store import MB, Points, PointsInFile, read_points
 from incremental_mapper.mapping.final_solve import final_values
 from incremental_mapper.mapping.judgement import judge_map
+from incremental_mapper.mapping.loop_closing import close_loops
 from incremental_mapper.mapping.result import MapResult, fixes_in_map, trajectory_of
 from incremental_mapper.mapping.statistics import MapStatistics
 from incremental_mapper.measurements import Drops
@@ -240,19 +241,21 @@ def _recovered(path: Path, reading: _Reading) -> Recovered:
     state, begun, last = reading.state(), reading.begun, reading.last
     config = make_config(begun['settings'], str(path))
     values, failed = final_values(state, config)
+    closed = close_loops(state, values, config)
+    values = closed.values
     statistics = {**last['statistics'], 'settings': begun['settings']}
     statistics['solver_failures'] += int(failed)
     clusters = tuple(state.clusters)
     known = _findings(begun['findings'])
     result = MapResult(
         clusters=clusters,
-        factors=tuple(state.factors),
+        factors=(*state.factors, *closed.factors),
         values=values,
         trajectory=trajectory_of(clusters, values),
         scans=tuple(state.scans),
         fixes=fixes_in_map(state),
         rows=tuple(reading.rows),
-        statistics=MapStatistics.from_tree(statistics),
+        statistics=closed.counted(MapStatistics.from_tree(statistics)),
         findings=ranked([*reading.findings, *judge_map(state, values, config)]),
         failed=tuple(reading.failed),
     )

@@ -15,6 +15,7 @@ FACTOR_COLOURS = {
     str(FactorKind.IMU): (0.35, 0.7, 0.9),
     str(FactorKind.GNSS): (0.0, 0.6, 0.5),
     str(FactorKind.BRIDGE): (0.8, 0.2, 0.2),
+    str(FactorKind.CLOSURE): (0.8, 0.6, 0.7),
 }
 """Red, green, blue, each from 0 to 1."""
 POSE_COLOUR = (0.1, 0.1, 0.1)

@@ -1,0 +1,171 @@
+"""Is it the same place? Registration of two local maps, and what the result must withstand."""
+
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+import small_gicp
+from numpy.typing import NDArray
+
+from incremental_mapper.closures.candidate_pairs import Candidate, Known
+from incremental_mapper.closures.local_maps import LocalMap
+from incremental_mapper.config import ClosureSettings, OdometrySettings
+from incremental_mapper.frontend.gap_matching import LEVEL, ScanCloud
+from incremental_mapper.frontend.match_noise import match_covariance
+from incremental_mapper.geometry import transform_points
+
+NEIGHBOURS = 15
+"""Points that tell a surface."""
+REACHES = (4.0, 1.5)
+"""Largest distances of a correspondence, metres, one registration after the other."""
+SAME_TRANSLATION, SAME_ROTATION = 0.3, 0.01
+"""Metres and radians within which registering the other way round must lead back."""
+NEAR = 0.3
+"""Metres to the nearest point within which a point is explained."""
+FEWEST = 200
+"""Points off the ground that both local maps must show of a place."""
+UNCERTAIN = 4.0
+"""Factor on the covariance of what is known: after minutes without fixes published variances are a
+quarter of the squared error (``benchmarks/published_covariance.py``)."""
+IMPROBABLE = 22.5
+"""Squared Mahalanobis distance that one in a thousand exceeds, with six degrees of freedom."""
+GUESS = np.diag(np.square([0.1, 0.1, 0.1, 3.0, 3.0, 3.0]))
+"""Covariance of where a candidate lies: registration takes it from there."""
+KEPT = 64
+"""Prepared local maps that are kept."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Closure:
+    """Two local maps of one place.
+
+    Attributes:
+        first: Place of the earlier local map in the list.
+        second: Place of the later one.
+        T_first_second: Its pose in the earlier one's frame.
+        covariance: (6, 6), in the frame of the second, rotation first.
+        overlap: Share of what stands on the ground that both show, of what both could see.
+    """
+
+    first: int
+    second: int
+    T_first_second: gtsam.Pose3
+    covariance: NDArray[np.float64]
+    overlap: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Prepared:
+    """A local map ready to be registered, and its points (N, 3) that stand on the ground."""
+
+    scan: ScanCloud
+    upright: NDArray[np.float64]
+    upright_tree: small_gicp.KdTree
+
+
+class Verifier:
+    """Verifies candidates among local maps."""
+
+    def __init__(
+        self, maps: Sequence[LocalMap], settings: ClosureSettings, odometry: OdometrySettings
+    ) -> None:
+        self._maps, self._settings, self._odometry = maps, settings, odometry
+        self._prepared: OrderedDict[int, _Prepared] = OrderedDict()
+
+    def verify(self, candidate: Candidate, known: Known | None) -> Closure | str:
+        """The closure that a candidate proves to be, or in a word why it is none.
+
+        Args:
+            candidate: Two local maps.
+            known: What is known of their relative pose.
+        """
+        pose = candidate.T_first_second
+        if known is not None and _distance(known, pose, GUESS) > IMPROBABLE:
+            return 'improbable'
+        first, second = self._ready(candidate.first), self._ready(candidate.second)
+        result = None
+        for reach in REACHES:
+            result = _align(first.scan, second.scan, pose, reach)
+            if not np.isfinite(np.asarray(result.T_target_source)).all():
+                return 'no_match'
+            pose = gtsam.Pose3(np.asarray(result.T_target_source))
+        assert result is not None
+        overlap = _overlap(first, second, pose)
+        if overlap < self._settings.min_overlap:
+            return 'no_overlap'
+        covariance = match_covariance(result, second.scan.cloud, self._odometry)
+        floor = np.diag(
+            np.square([self._settings.floor_rotation] * 3 + [self._settings.floor_translation] * 3)
+        )
+        covariance = floor if covariance is None else covariance + floor
+        if known is not None and _distance(known, pose, covariance) > IMPROBABLE:
+            return 'improbable'
+        back = _align(second.scan, first.scan, pose.inverse(), REACHES[-1])
+        if not _same(gtsam.Pose3(np.asarray(back.T_target_source)).inverse(), pose):
+            return 'one_way'
+        return Closure(candidate.first, candidate.second, pose, covariance, overlap)
+
+    def _ready(self, place: int) -> _Prepared:
+        if place in self._prepared:
+            self._prepared.move_to_end(place)
+            return self._prepared[place]
+        cloud = small_gicp.PointCloud(self._maps[place].points.astype(np.float64))
+        tree = small_gicp.KdTree(cloud)
+        small_gicp.estimate_normals_covariances(cloud, tree, num_neighbors=NEIGHBOURS)
+        upright = np.abs(np.asarray(cloud.normals())[:, 2]) < LEVEL
+        standing = np.ascontiguousarray(cloud.points()[upright, :3])
+        made = _Prepared(ScanCloud(cloud, tree), standing, small_gicp.KdTree(standing))
+        self._prepared[place] = made
+        if len(self._prepared) > KEPT:
+            self._prepared.popitem(last=False)
+        return made
+
+
+def _align(
+    target: ScanCloud, source: ScanCloud, guess: gtsam.Pose3, reach: float
+) -> small_gicp.RegistrationResult:
+    return small_gicp.align(
+        target.cloud,
+        source.cloud,
+        target.tree,
+        init_T_target_source=guess.matrix(),
+        registration_type='GICP',
+        max_correspondence_distance=reach,
+        max_iterations=30,
+        rotation_epsilon=0.001,
+        translation_epsilon=0.005,
+    )
+
+
+def _overlap(first: _Prepared, second: _Prepared, T_first_second: gtsam.Pose3) -> float:
+    """Share of what stands on the ground that both show, where both have seen anything."""
+    moved = transform_points(T_first_second.matrix(), second.upright)
+    shares = []
+    for own, tree, others in (
+        (moved, first.upright_tree, first.upright),
+        (first.upright, small_gicp.KdTree(moved), moved),
+    ):
+        if len(own) < FEWEST or len(others) < FEWEST:
+            return 0.0
+        low, high = np.percentile(others, [5.0, 95.0], axis=0)
+        inside = ((own > low) & (own < high)).all(axis=1)
+        if inside.sum() < FEWEST:
+            return 0.0
+        _, squares = tree.batch_nearest_neighbor_search(np.ascontiguousarray(own[inside]))
+        shares.append(float(np.mean(np.asarray(squares) < NEAR**2)))
+    return min(shares)
+
+
+def _distance(known: Known, found: gtsam.Pose3, covariance: NDArray[np.float64]) -> float:
+    """Squared Mahalanobis distance of a closure from what was known."""
+    apart = gtsam.Pose3.Logmap(known.T_first_second.between(found))
+    return float(apart @ np.linalg.solve(UNCERTAIN * known.covariance + covariance, apart))
+
+
+def _same(one: gtsam.Pose3, other: gtsam.Pose3) -> bool:
+    apart = gtsam.Pose3.Logmap(one.between(other))
+    return bool(
+        np.linalg.norm(apart[3:]) < SAME_TRANSLATION and np.linalg.norm(apart[:3]) < SAME_ROTATION
+    )

@@ -1,0 +1,158 @@
+"""Closures among local maps of an invented town: found where they are, and nowhere else."""
+
+from dataclasses import replace
+
+import gtsam
+import numpy as np
+import pytest
+
+from incremental_mapper.closures.candidate_pairs import Candidate, Known, by_place, comparable
+from incremental_mapper.closures.consistency import consistent_set
+from incremental_mapper.closures.local_maps import LocalMap
+from incremental_mapper.closures.search import find_closures
+from incremental_mapper.closures.verification import Closure, Verifier
+from incremental_mapper.config import ClosureSettings, OdometrySettings
+
+SETTINGS, ODOMETRY = ClosureSettings(), OdometrySettings()
+TIGHT = np.diag(np.square([0.01] * 3 + [0.3] * 3))
+LOOSE = np.diag(np.square([0.3] * 3 + [30.0] * 3))
+
+
+def pose(x, y, degrees=0.0):
+    return gtsam.Pose3(gtsam.Rot3.Yaw(np.radians(degrees)), np.array([x, y, 0.0]))
+
+
+def wall(rng, start, end, height):
+    along = rng.uniform(0.0, 1.0, (int(60 * np.hypot(*np.subtract(end, start))), 1))
+    points = np.array(start) + along * np.subtract(end, start)
+    return np.column_stack([points, rng.uniform(0.0, height, len(points))])
+
+
+def town(seed):
+    """Ground and houses of all sizes within 60 m, points (N, 3)."""
+    rng = np.random.default_rng(seed)
+    ground = np.column_stack([rng.uniform(-60.0, 60.0, (40_000, 2)), np.zeros(40_000)])
+    parts = [ground]
+    for side in (-1.0, 1.0):
+        x = -60.0
+        while x < 55.0:
+            wide, back, tall = rng.uniform(4.0, 14.0), rng.uniform(8.0, 13.0), rng.uniform(4.0, 9.0)
+            front = side * back
+            parts.append(wall(rng, (x, front), (x + wide, front), tall))
+            parts.append(wall(rng, (x, front), (x, front + side * 8.0), tall))
+            x += wide + rng.uniform(0.0, 5.0)
+    return np.vstack(parts)
+
+
+def seen(points, true, number, believed=None, travelled=0.0, run=0):
+    """A local map of what lies within 40 m, by another set of the points each time."""
+    rng = np.random.default_rng(number)
+    own = true.transformTo(points.T).T
+    own = own[(np.linalg.norm(own, axis=1) < 40.0) & (rng.uniform(size=len(own)) < 0.4)]
+    own = own + rng.normal(scale=0.02, size=own.shape)
+    believed = true if believed is None else believed
+    return LocalMap(number, number, believed, travelled, own.astype(np.float32), run)
+
+
+TOWN = town(1)
+FIRST, AGAIN = pose(0.0, 0.0), pose(4.0, 5.0, 178.0)
+
+
+@pytest.fixture(scope='module')
+def maps():
+    """A place, the same the other way round with 1.5 m of drift, and another one."""
+    drifted = AGAIN.compose(pose(1.2, -0.9, 1.0))
+    return [
+        seen(TOWN, FIRST, 1),
+        seen(TOWN, AGAIN, 2, drifted, 500.0),
+        seen(town(2), AGAIN, 3, drifted, 900.0),
+    ]
+
+
+def known(maps, first, second, covariance):
+    relative = maps[first].T_map_base.between(maps[second].T_map_base)
+    return Known(relative, covariance)
+
+
+def test_the_same_place_the_other_way_round_is_a_closure_with_the_true_relative_pose(maps):
+    candidate = by_place(maps[:2], SETTINGS)[0]
+    found = Verifier(maps, SETTINGS, ODOMETRY).verify(candidate, known(maps, 0, 1, LOOSE))
+    assert isinstance(found, Closure) and (found.first, found.second) == (0, 1)
+    off = gtsam.Pose3.Logmap(FIRST.between(AGAIN).between(found.T_first_second))
+    assert np.abs(off[3:]).max() < 0.05 and np.abs(off[:3]).max() < 0.003
+    assert found.overlap > 0.7
+    assert np.sqrt(np.diag(found.covariance))[3:].min() >= SETTINGS.floor_translation
+
+
+def test_another_place_is_none(maps):
+    candidate = Candidate(0, 2, maps[0].T_map_base.between(maps[2].T_map_base))
+    found = Verifier(maps, SETTINGS, ODOMETRY).verify(candidate, known(maps, 0, 2, LOOSE))
+    assert found == 'no_overlap'
+
+
+def test_what_contradicts_the_known_pose_is_none_however_well_it_fits(maps):
+    far = Known(pose(40.0, 5.0, 178.0), TIGHT)
+    candidate = by_place(maps[:2], SETTINGS)[0]
+    assert Verifier(maps, SETTINGS, ODOMETRY).verify(candidate, far) == 'improbable'
+
+
+def test_candidates_by_place_are_near_and_a_way_apart(maps):
+    assert [(one.first, one.second) for one in by_place(maps, SETTINGS)] == [
+        (0, 1),
+        (1, 2),
+        (0, 2),
+    ]
+    beside = [maps[0], replace(maps[1], travelled=59.0)]
+    assert by_place(beside, SETTINGS) == []
+    assert comparable(maps[0], replace(maps[1], travelled=0.0, run=1), SETTINGS)
+    assert by_place(maps, SETTINGS.model_copy(update={'radius': 3.0})) != []  # 1 and 2 are one
+    far = [maps[0], replace(maps[1], T_map_base=pose(26.0, 0.0))]
+    assert by_place(far, SETTINGS) == []
+
+
+def straight(count, travelled):
+    """Local maps along a straight way that is driven twice."""
+    there = [LocalMap(i, i, pose(20.0 * i, 0.0), 20.0 * i, np.zeros((0, 3))) for i in range(count)]
+    return there + [
+        LocalMap(count + i, count + i, pose(20.0 * i, 0.5), travelled + 20.0 * i, np.zeros((0, 3)))
+        for i in range(count)
+    ]
+
+
+def closure(maps, first, second, off=0.0):
+    true = maps[first].T_map_base.between(maps[second].T_map_base)
+    return Closure(first, second, true.compose(pose(off, 0.0)), np.eye(6), 1.0)
+
+
+def test_a_closure_that_contradicts_the_others_is_left_out():
+    maps = straight(4, 1000.0)
+    # All agree that the second pass is 2 m on, but for one.
+    closures = [closure(maps, i, 4 + i, 2.0 + 12.0 * (i == 2)) for i in range(4)]
+    held, contradicted, alone = consistent_set(closures, maps)
+    assert held == [closures[0], closures[1], closures[3]]
+    assert contradicted == [closures[2]] and alone == []
+
+
+def test_a_closure_that_nothing_confirms_is_left_out():
+    maps = straight(4, 1000.0)
+    twice = [closure(maps, 0, 4), closure(maps, 1, 4)]
+    held, contradicted, alone = consistent_set(twice, maps)
+    assert (held, contradicted, alone) == ([], [], twice)  # one witness, seen twice
+    held, _, alone = consistent_set([*twice, closure(maps, 1, 5)], maps)
+    assert len(held) == 2 and len(alone) == 1
+
+
+def test_closures_of_two_drives_are_found_as_those_of_one():
+    shift = pose(2.0, 1.0, 2.0)
+    places = [(pose(8.0 * i, 0.0), pose(8.0 * i, 4.0, 180.0)) for i in range(2)]
+    maps = [seen(TOWN, first, i, None, 8.0 * i) for i, (first, _) in enumerate(places)]
+    maps += [
+        seen(TOWN, second, 2 + i, shift.compose(second), 20.0 - 8.0 * i, run=1)
+        for i, (_, second) in enumerate(places)
+    ]
+    found = find_closures(maps, lambda *_: None, SETTINGS, ODOMETRY)
+    assert found.candidates >= 4 and len(found.closures) >= 2
+    for one in found.closures:
+        assert (maps[one.first].run, maps[one.second].run) == (0, 1)
+        true = places[one.first][0].between(places[one.second - 2][1])
+        assert np.abs(gtsam.Pose3.Logmap(true.between(one.T_first_second))).max() < 0.05
