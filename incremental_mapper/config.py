@@ -502,6 +502,24 @@ class JournalSettings(Section):
     the mapping, and remove them."""
 
 
+class SessionSettings(Section):
+    """A map that is gone on with."""
+
+    # A word of Python's cannot be written as a field, but it is the right name for users.
+    __annotations__ = {'continue': FolderName}
+    vars()['continue'] = Field(
+        default='',
+        description='Folder of a finished run, or of a map that was saved, to go on with, in its '
+        'frame and around its datum; what is saved is the map of all sessions. Empty begins anew.',
+    )
+
+    @property
+    def folder(self) -> Path | None:
+        """The folder to go on with, None where a map begins."""
+        name: str = getattr(self, 'continue')
+        return Path(name).expanduser().absolute() if name else None
+
+
 class TimeJumpPolicy(StrEnum):
     """What follows when stamps jump backwards, as in a looped bag."""
 
@@ -585,6 +603,7 @@ class Config(Section):
     imu_odometry: ImuOdometrySettings = ImuOdometrySettings()
     save: SaveSettings = SaveSettings()
     journal: JournalSettings = JournalSettings()
+    session: SessionSettings = SessionSettings()
     time_jump: TimeJumpSettings = TimeJumpSettings()
     queue: QueueSettings = QueueSettings()
     diagnostics: DiagnosticsSettings = DiagnosticsSettings()

@@ -16,6 +16,7 @@ COMMANDS = {
     'convert': ('convert', 'convert a KAIST folder to a ROS 2 bag'),
     'check': ('check', 'look at an input for a few seconds: what is in it, what is suspicious'),
     'map': ('map_drive', 'map a KAIST folder or a bag'),
+    'merge': ('merge', 'join finished runs into one map'),
     'recover': ('recover', 'make maps of the journals of runs that were cut off'),
     'evaluate': ('evaluate', 'map drives with every strategy and compare'),
     'play': ('play', 'play a bag into ROS topics'),

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from incremental_mapper.cli import exit_status
 from incremental_mapper.cli.inputs import add_input
+from incremental_mapper.errors import OutputError
 
 if TYPE_CHECKING:
     from incremental_mapper.config import Tree
@@ -34,7 +35,21 @@ def add_parser(subparsers: Any) -> None:
         'so far.',
     )
     add_input(parser)
-    parser.add_argument('out_dir', type=Path, metavar='OUT_DIR', help='folder to write into')
+    parser.add_argument(
+        'out_dir',
+        type=Path,
+        nargs='?',
+        metavar='OUT_DIR',
+        help='folder to write into; with --continue it may be left out: FOLDER with a number',
+    )
+    parser.add_argument(
+        '--continue',
+        type=Path,
+        dest='earlier',
+        metavar='FOLDER',
+        help='go on from a finished run or a saved map, in its frame and around its datum; what is '
+        'written is the map of all sessions',
+    )
     parser.add_argument(
         '--strategy',
         type=_strategy,
@@ -66,7 +81,7 @@ def add_parser(subparsers: Any) -> None:
         '--force', action='store_true', help='write into OUT_DIR although it is not empty'
     )
     parser.add_argument('--verbose', action='store_true', help='print all numbers of the run')
-    parser.set_defaults(func=run)
+    parser.set_defaults(func=run, wrong_usage=parser.error)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -79,29 +94,29 @@ def run(args: argparse.Namespace) -> int:
     from incremental_mapper.results.run_folder import prepare_folder
     from incremental_mapper.results.summary import brief, summary
 
-    drive = open_drive(args.input, _settings(args), str(args.config or 'settings'), args.truth)
-    prepare_folder(args.out_dir, args.force)
+    tree = _settings(args)
+    drive = open_drive(args.input, tree, str(args.config or 'settings'), args.truth)
+    folder = _out_dir(args, drive.config.session.folder)
+    prepare_folder(folder, args.force)
     for note in drive.all_notes():
         print(f'note: {note}', file=sys.stderr)
     stop = Stop()
     with stop.listening(), Progress(drive.source.info.count) as progress:
-        done, remarks = map_into(
-            args.out_dir, drive, progress.read, stop, progress.stage, _watch(args)
-        )
+        done, remarks = map_into(folder, drive, progress.read, stop, progress.stage, _watch(args))
         progress.stage('report')
-        _write_report(args.out_dir, drive.truth)
+        _write_report(folder, drive.truth)
     found = [note for note in done.statistics.input.notes if note not in drive.all_notes()]
     for remark in (*found, *remarks):
         print(f'note: {remark}', file=sys.stderr)
-    tree = done.statistics.to_tree()
+    numbers = done.statistics.to_tree()
     if args.verbose:
-        print(summary(tree))
-    print(brief(tree, time.perf_counter() - started))
+        print(summary(numbers))
+    print(brief(numbers, time.perf_counter() - started))
     warnings = done.statistics.warnings
     sys.stdout.flush()  # the findings come after the numbers, the worst last
     print_findings(warnings)
     failed = any(finding.severity is Severity.ERROR for finding in warnings)
-    print(_where(args.out_dir, failed))
+    print(_where(folder, failed))
     if done.statistics.interrupted:
         return exit_status.INTERRUPTED
     return exit_status.FAILURE if failed else 0
@@ -126,7 +141,24 @@ def _settings(args: argparse.Namespace) -> 'Tree':
         chosen['strategy'] = args.strategy
     if args.verify:
         chosen['verify'] = True
-    return merge(tree, {'selection': chosen} if chosen else {})
+    tree = merge(tree, {'selection': chosen} if chosen else {})
+    return merge(tree, {'session': {'continue': str(args.earlier)}} if args.earlier else {})
+
+
+def _out_dir(args: argparse.Namespace, earlier: Path | None) -> Path:
+    """The folder to write into: never the one that is gone on with."""
+    from incremental_mapper.results.new_folder import free_name
+
+    out_dir: Path | None = args.out_dir
+    if out_dir is None:
+        if earlier is None:
+            raise args.wrong_usage('the following arguments are required: OUT_DIR')  # ends here
+        return free_name(earlier)
+    if earlier is not None and out_dir.resolve() == earlier.resolve():
+        raise OutputError(
+            f'{out_dir}: is the map that is gone on with; name another folder, or none'
+        )
+    return out_dir
 
 
 def _strategy(name: str) -> str:

@@ -47,6 +47,13 @@ def add_parser(subparsers: Any) -> None:
         '--seed', type=int, default=0, metavar='N', help='same seed, same drive (default: 0)'
     )
     parser.add_argument(
+        '--scene-seed',
+        type=int,
+        metavar='N',
+        help='seed of the surroundings alone: drives with seeds of their own in one place '
+        '(default: that of --seed)',
+    )
+    parser.add_argument(
         '--timing',
         type=Path,
         metavar='CSV',
@@ -70,6 +77,7 @@ def run(args: argparse.Namespace) -> int:
         seed=args.seed,
         timing=args.timing,
         overwrite=args.force,
+        scene_seed=args.scene_seed,
     )
     core = core_stamps(options)
     with tqdm(total=core.scans, unit='scan', desc='simulate', disable=None) as bar:

@@ -185,6 +185,19 @@ class MapFile:
                         records[name] = own[name]
                 yield records
 
+    def first(self) -> NDArray[np.int32] | None:
+        """The scan (N,) that saw each voxel first, as a place among the scans.
+
+        None where nothing is known of the scans.
+        """
+        scans = self._scans
+        if scans is None:
+            return None
+        numbers = np.fromfile(scans.path, dtype='<i4', count=self.count, offset=scans.start)
+        if len(numbers) and not 0 <= numbers.min() <= numbers.max() < len(scans.table):
+            raise _damaged(scans.path)
+        return numbers
+
     def columns(self, names: tuple[str, ...], dtype: Any) -> NDArray[Any]:
         """Some columns of all points.
 

@@ -77,8 +77,8 @@ def georeference(state: GraphState, config: Config) -> bool:
         return False
     yaw, shift = align_track(enu[track], local[track])
     T_enu_map = gtsam.Pose3(gtsam.Rot3.Yaw(yaw), shift)
-    turned = _turn(state.all_values(), T_enu_map)
-    factors = [_turned_factor(factor, T_enu_map, config) for factor in state.factors]
+    turned = turn_values(state.all_values(), T_enu_map)
+    factors = [turn_prior(factor, T_enu_map, config) for factor in state.factors]
     for fix in state.fixes:
         factors[fix.factor] = gnss_factor(
             factors[fix.factor].keys[0],
@@ -137,7 +137,13 @@ def without_fixes(
     state.refound(factors, fixes, offset, prior, older)
 
 
-def _turn(values: gtsam.Values, T_enu_map: gtsam.Pose3) -> gtsam.Values:
+def turn_values(values: gtsam.Values, T_enu_map: gtsam.Pose3) -> gtsam.Values:
+    """Poses and velocities in another frame; biases are the vehicle's own.
+
+    Args:
+        values: Any.
+        T_enu_map: To the other frame.
+    """
     turned = gtsam.Values()
     for key in values.keys():  # noqa: SIM118 (no mapping)
         kind = kind_of(key)
@@ -167,10 +173,15 @@ def _solved(
     )
 
 
-def _turned_factor(factor: Factor, T_enu_map: gtsam.Pose3, config: Config) -> Factor:
-    """What says something of a pose or velocity in the map, under the new frame.
+def turn_prior(factor: Factor, T_enu_map: gtsam.Pose3, config: Config) -> Factor:
+    """What says something of a pose or velocity in the map, under the new frame; not of fixes.
 
     Position and yaw of the priors are only loosely held from here on: the fixes know better.
+
+    Args:
+        factor: Any.
+        T_enu_map: To the new frame.
+        config: All settings.
     """
     if factor.kind is FactorKind.PRIOR_POSE:
         graph = config.graph

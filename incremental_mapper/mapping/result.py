@@ -44,6 +44,21 @@ class WindowResult:
     tried: tuple[Tried, ...] = ()
 
 
+@dataclass(frozen=True, slots=True)
+class Session:
+    """A part of a map that was driven by itself: its input, and how much of the map it is.
+
+    ``windows``, ``clusters`` and ``drive_s`` (seconds) are counts; sessions follow each other in
+    the map. ``joined_by`` says what relates it to those before: ``fixes``, or '' of the first one.
+    """
+
+    input: str
+    windows: int
+    clusters: int
+    drive_s: float
+    joined_by: str = ''
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class MapResult:
     """A finished run.
@@ -60,6 +75,7 @@ class MapResult:
         statistics: What the mapper counted.
         findings: What is wrong with the measurements or the map, the worst first.
         failed: The inputs of windows that failed; the first few of them.
+        sessions: The sessions that it was made in, the oldest first; none where it is one.
     """
 
     clusters: tuple[PlacedCluster, ...]
@@ -72,6 +88,7 @@ class MapResult:
     statistics: MapStatistics
     findings: tuple[Finding, ...] = ()
     failed: tuple[WindowRecord, ...] = ()
+    sessions: tuple['Session', ...] = ()
 
     def placed_scans(
         self, unreadable: list[str] | None = None
@@ -104,6 +121,11 @@ class MapResult:
             pose = self.values.atPose3(pose_key(scan.cluster)).compose(scan.T_cluster_scan)
             yield points, pose.matrix(), number
 
+    def _in_range(self, unreadable: list[str] | None, settings: MapSettings) -> Iterator[Placed]:
+        for points, pose, number in self._placed(unreadable):
+            near = np.linalg.norm(points[:, :3], axis=1) <= settings.max_range
+            yield (points if self.scans[number].thinned else points[near]), pose, number
+
     @property
     def stats(self) -> dict[str, Any]:
         """``statistics`` as the keys of ``stats.json``."""
@@ -120,9 +142,11 @@ class MapResult:
             Points (N, 3) in the map, metres; (N, 4) with intensity where a LiDAR measures it, 0
             for those that only other LiDARs saw. Each knows the scan that saw its voxel first.
         """
-        points, first = accumulate(
-            self._placed(unreadable), settings.voxel_size, settings.max_range
-        )
+        # A voxel of a saved map may lie a little beyond the range of the scan that saw it first.
+        saved = any(scan.thinned for scan in self.scans)
+        placed = self._in_range(unreadable, settings) if saved else self._placed(unreadable)
+        limit = np.inf if saved else settings.max_range
+        points, first = accumulate(placed, settings.voxel_size, limit)
         names = tuple(sorted({scan.sensor for scan in self.scans}))
         scans = ScanTable(
             stamps=np.array([scan.stamp for scan in self.scans], dtype=np.int64),

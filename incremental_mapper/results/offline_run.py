@@ -36,6 +36,7 @@ from incremental_mapper.results.run_folder import (
     write_result,
 )
 from incremental_mapper.results.run_statistics import InputFacts, RunStatistics
+from incremental_mapper.results.sessions.going_on import EarlierMap, earlier_map, whole
 from incremental_mapper.results.survey import BRIEF, survey
 from incremental_mapper.results.trajectory_errors import trajectory_errors
 from incremental_mapper.results.watching import RunWatcher, Watch
@@ -43,7 +44,7 @@ from incremental_mapper.settings import make_config, merge, read_yaml
 from incremental_mapper.trajectory import Trajectory
 from incremental_mapper.visualization.extras import left_out
 
-UNRELATED = {'selection', 'save', 'journal'}
+UNRELATED = {'selection', 'save', 'journal', 'session', 'datum'}
 """Sections of settings that say nothing of the sensors: with these alone a look still chooses."""
 MOST_MENDS = 3
 """How often a run begins anew with settings that its data proved right."""
@@ -55,7 +56,7 @@ class Drive:
 
     ``tree`` are the user's settings and what was mended since, ``where`` is where they come from.
     ``mended`` is what the data have proved wrong so far, and ``config`` puts right. ``notes`` are
-    remarks on the settings.
+    remarks on the settings. ``earlier`` is the map that it goes on with, if any.
     """
 
     source: Source
@@ -65,6 +66,7 @@ class Drive:
     where: str
     mended: tuple[Finding, ...] = ()
     notes: tuple[str, ...] = ()
+    earlier: EarlierMap | None = None
 
     def all_notes(self) -> tuple[str, ...]:
         """Remarks on how the input was understood, and on the settings it is mapped with."""
@@ -139,11 +141,15 @@ def open_drive(path: Path, tree: Tree, where: str, truth: Path | None = None) ->
     Raises:
         MapperError: The input, the settings or the truth cannot be used.
     """
-    make_config(tree, where)  # settings that are wrong by themselves are told before any reading
+    # Settings that are wrong by themselves are told before any reading.
+    given = make_config(tree, where)
+    earlier = earlier_map(given.session.folder, given.map)
+    if earlier is not None:
+        tree = merge(tree, earlier.settings)
     source = open_source(path, tree)
     config = effective_config(source, tree, where)
     known = source.truth() if truth is None else read_truth(truth)
-    drive = Drive(source, config, known, tree, where)
+    drive = Drive(source, config, known, tree, where, earlier=earlier)
     return drive if tree.keys() - UNRELATED else _looked_at(drive)
 
 
@@ -222,7 +228,10 @@ def map_into(
             ExitStack() as stack,
         ):
             watchers = [stack.enter_context(begin(drive.config)) for begin in watch]
-            run = _map_once(drive, progress, stop, record, may_mend, journal, stage, watchers)
+            told = None if record is None else _numbered_on(record, drive.earlier)
+            run = _map_once(drive, progress, stop, told, may_mend, journal, stage, watchers)
+        if drive.earlier is not None and not run.result.sessions:
+            (folder / FILE_NAME).unlink(missing_ok=True)  # its windows have other numbers
         troubles[:] = [watcher.trouble for watcher in watchers if watcher.trouble]
         journals.extend([] if journal is None else [journal])
         return run
@@ -404,6 +413,12 @@ def _map_once(
             raise MendError(mapper.mended)
         stage('final solve')
         result = mapper.result()
+    info = source.info
+    facts = InputFacts(str(info.path), info.kind, info.counts, drive.all_notes())
+    if drive.earlier is not None:
+        stage('sessions')
+    of_all = whole(drive.earlier, result, config, facts)
+    result = of_all.result
     if not result.clusters:
         if interrupted:
             raise KeyboardInterrupt
@@ -413,18 +428,27 @@ def _map_once(
     for watcher in watchers:
         watcher.finish(result, cloud)
     errors = None if truth is None else trajectory_errors(result.trajectory, truth)
-    info = source.info
     statistics = RunStatistics.of_run(
         result,
         source.drops,
-        time.perf_counter() - started,
+        of_all.wall + time.perf_counter() - started,
         len(cloud),
-        InputFacts(str(info.path), info.kind, info.counts, drive.all_notes()),
+        of_all.facts,
         errors,
         interrupted,
         (*info.findings, *drive.mended),
     )
     return Run(result, cloud, statistics)
+
+
+def _numbered_on(
+    record: Callable[[WindowResult], object], earlier: EarlierMap | None
+) -> Callable[[WindowResult], object]:
+    """Count windows on from those of the map before."""
+    if earlier is None:
+        return record
+    before = earlier.windows
+    return lambda window: record(replace(window, index=window.index + before))
 
 
 def _nothing_used(source: Source) -> InputError:

@@ -1,8 +1,9 @@
 """The folder of a run: the files that are in it, writing them, and reading them back.
 
 ``trajectory.tum``, ``map.ply``, ``map_scans.ply``, ``graph.g2o``, ``graph.json`` (see
-``graph_json``), ``windows.csv``, ``stats.json`` (see ``run_statistics``) and ``files.json`` (see
-``manifest``), by which one knows whether the others are whole, are always there; pictures and
+``graph_json``), ``windows.csv``, ``stats.json`` (see ``run_statistics``), ``session.graph`` (see
+``session_file``) and ``files.json`` (see ``manifest``), by which one knows whether the others are
+whole, are always there; pictures and
 ``candidates.parquet`` (see ``candidate_table``) where their libraries are installed, and
 ``failed_window_N.npz`` (see ``window_record``) where a window failed.
 """
@@ -35,6 +36,8 @@ from incremental_mapper.results.graph_json import graph_tree
 from incremental_mapper.results.manifest import FILE as MANIFEST
 from incremental_mapper.results.manifest import FORMAT, Manifest
 from incremental_mapper.results.messages.output_bag import remove_bag
+from incremental_mapper.results.sessions.session_file import FILE as SESSION
+from incremental_mapper.results.sessions.session_file import write_session
 from incremental_mapper.selection.window_record import FILE as WINDOW_FILE
 from incremental_mapper.trajectory import Trajectory, read_tum, write_tum
 from incremental_mapper.variables import cluster_of, pose_key
@@ -46,7 +49,7 @@ Record: TypeAlias = Mapping[str, Any]
 
 TRAJECTORY, MAP, WINDOWS = 'trajectory.tum', 'map.ply', 'windows.csv'
 GRAPH, GRAPH_G2O, STATISTICS = 'graph.json', 'graph.g2o', 'stats.json'
-DATA = (TRAJECTORY, MAP, SCANS, GRAPH_G2O, GRAPH, WINDOWS, STATISTICS)
+DATA = (TRAJECTORY, MAP, SCANS, GRAPH_G2O, GRAPH, WINDOWS, STATISTICS, SESSION)
 FILES = (*DATA, MANIFEST)
 EXTRA_FILES = (
     FILE_NAME,
@@ -125,11 +128,13 @@ def write_result(
     for record in result.failed:
         _write(folder / record.name, partial(Path.write_bytes, data=record.data))
     _write_json(folder / STATISTICS, stats, indent=2)
+    _write_session(folder, result)
     _refuse(folder / MAP, points=cloud.points)
     _write(folder / SCANS, lambda path: write_scans(path, cloud))
     _write(folder / MAP, lambda path: write_ply(path, cloud))
     names = [*DATA, *(record.name for record in result.failed)]
     names += [FILE_NAME] if (folder / FILE_NAME).is_file() else []
+    names = [name for name in names if name != SESSION or (folder / name).is_file()]
     _write(folder / MANIFEST, lambda path: _write_manifest(path, folder, names))
     _write_formats(folder, stats)
 
@@ -343,6 +348,16 @@ class FinishedRun:
                 self.folder / name,
                 MANIFEST,
             )
+
+
+def _write_session(folder: Path, result: MapResult) -> None:
+    """Write what another session can go on from, if GTSAM can write all of its factors."""
+    try:
+        _write(folder / SESSION, lambda path: write_session(path, result))
+    except (RuntimeError, TypeError) as error:
+        (folder / f'.{SESSION}.partial').unlink(missing_ok=True)
+        reason = ' '.join(str(error).split())[:200]
+        LOGGER.warning('no %s, no session can go on from %s: %s', SESSION, folder, reason)
 
 
 def _write_formats(folder: Path, stats: Mapping[str, Any]) -> None:

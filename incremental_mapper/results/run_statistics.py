@@ -15,7 +15,7 @@ from incremental_mapper.checks.finding import Finding, ranked
 from incremental_mapper.checks.outcome import empty_findings
 from incremental_mapper.checks.sensors import SensorUse, sensor_findings
 from incremental_mapper.graph.factors import FactorKind
-from incremental_mapper.mapping.result import MapResult
+from incremental_mapper.mapping.result import MapResult, Session
 from incremental_mapper.mapping.statistics import MapStatistics, peak_rss_mb
 from incremental_mapper.measurements import Drops
 from incremental_mapper.results.trajectory_errors import TrajectoryErrors
@@ -58,6 +58,7 @@ class RunStatistics:
     before it. ``wall_s`` are the seconds that the run took and ``real_time_factor`` those of the
     drive divided by them; ``peak_rss_mb`` is the largest resident memory of the process.
     ``warnings`` are what was found wrong, the worst first.
+    ``sessions`` are those that the map was made in, none where it is one.
     ``windows`` is None where no window held a core measurement, ``errors`` where there is no
     truth.
     """
@@ -74,6 +75,7 @@ class RunStatistics:
     errors: TrajectoryErrors | None
     input: InputFacts
     warnings: tuple[Finding, ...] = ()
+    sessions: tuple[Session, ...] = ()
 
     @classmethod
     def of_run(
@@ -123,6 +125,7 @@ class RunStatistics:
             errors=errors,
             input=facts,
             warnings=ranked([*lost, *empty, *known]),
+            sessions=result.sessions,
         )
 
     def to_tree(self) -> dict[str, Any]:
@@ -145,6 +148,7 @@ class RunStatistics:
                 'counts': dict(self.input.counts),
                 'notes': list(self.input.notes),
             },
+            **({'sessions': [asdict(one) for one in self.sessions]} if self.sessions else {}),
         }
 
 

@@ -1,6 +1,6 @@
 """The main numbers of a run as ``map`` prints them: those that everybody wants, or all."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 
@@ -36,6 +36,8 @@ def brief(stats: Mapping[str, Any], seconds: float) -> str:
     rows += _closures(stats)
     place = '' if stats['georeferenced'] else ', not georeferenced: in a frame of its own'
     rows.append(('map', f'{stats["map_points"]} points{place}'))
+    if 'sessions' in stats:
+        rows.append(('sessions', _sessions(stats['sessions'])))
     return _aligned(rows + _losses(stats))
 
 
@@ -110,6 +112,12 @@ def summary(stats: Mapping[str, Any]) -> str:
             )
         )
     return _aligned(rows + _losses(stats))
+
+
+def _sessions(sessions: Sequence[Mapping[str, Any]]) -> str:
+    how = ' and '.join(sorted({one['joined_by'] for one in sessions} - {''}))
+    poses = ' + '.join(str(one['clusters']) for one in sessions)
+    return f'{len(sessions)}, joined by {how}: {poses} poses'
 
 
 def _losses(stats: Mapping[str, Any]) -> list[tuple[str, str]]:

@@ -41,7 +41,8 @@ class PlacedCluster:
 class PlacedScan:
     """A scan of the map: its points in base_link, and where its cluster holds it.
 
-    ``T_cluster_scan`` is the identity unless motion is compensated within clusters.
+    ``T_cluster_scan`` is the identity unless motion is compensated within clusters. ``thinned``
+    ones have the points of a saved map: those voxels that they saw first.
     """
 
     cluster: int
@@ -49,6 +50,7 @@ class PlacedScan:
     sensor: str
     stored: StoredPoints
     T_cluster_scan: gtsam.Pose3
+    thinned: bool = False
 
     @property
     def points(self) -> NDArray[np.float32]:

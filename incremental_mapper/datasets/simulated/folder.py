@@ -63,7 +63,8 @@ def simulate(out_dir: Path, options: SimulationOptions, progress: Progress | Non
     """
     load_embree()
     core = core_stamps(options)
-    scene = make_scene(options.scene, options.seed)
+    place = options.seed if options.scene_seed is None else options.scene_seed
+    scene = make_scene(options.scene, place)
     drive = make_drive(scene, options, core)
     try:
         _prepare(out_dir, options.overwrite)
@@ -115,6 +116,7 @@ def _write_mark(path: Path, options: SimulationOptions, core: CoreStamps) -> Non
         'scene': options.scene.value,
         'motion': options.motion.value,
         'seed': options.seed,
+        **({} if options.scene_seed is None else {'scene_seed': options.scene_seed}),
         'timing': options.timing.name if options.timing else None,
         'duration_s': core.duration,
         'scan_stamp': 'end of the sweep of 0.1 s; points are not deskewed',

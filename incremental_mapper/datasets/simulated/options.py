@@ -36,8 +36,9 @@ class SimulationOptions:
     """Settings of one simulated drive.
 
     ``duration`` is in seconds and counts only where ``timing`` is None; ``timing`` is a CSV file
-    with the columns ``stamp_ns,sensor`` whose stamps are used exactly. The same options make
-    byte-identical folders. Raises ConfigError for a value out of its range.
+    with the columns ``stamp_ns,sensor`` whose stamps are used exactly. ``scene_seed`` replaces
+    ``seed`` for the surroundings, so that drives with seeds of their own share them. The same
+    options make byte-identical folders. Raises ConfigError for a value out of its range.
     """
 
     scene: SceneKind = SceneKind.STREET
@@ -46,6 +47,7 @@ class SimulationOptions:
     seed: int = 0
     timing: Path | None = None
     overwrite: bool = False
+    scene_seed: int | None = None
 
     def __post_init__(self) -> None:
         if self.timing is None and not MIN_DURATION <= self.duration <= MAX_DURATION:
@@ -55,3 +57,5 @@ class SimulationOptions:
             )
         if self.seed < 0:
             raise ConfigError(f'seed is {self.seed}; choose a whole number from 0 on')
+        if self.scene_seed is not None and self.scene_seed < 0:
+            raise ConfigError(f'scene seed is {self.scene_seed}; choose a whole number from 0 on')

@@ -12,7 +12,6 @@ import logging
 import os
 import threading
 import time
-import zlib
 from collections.abc import Sequence
 from io import FileIO
 from pathlib import Path
@@ -22,10 +21,9 @@ import gtsam
 import numpy as np
 
 from incremental_mapper import __version__
-from incremental_mapper.candidates.model import CoreMeasurement
 from incremental_mapper.checks.finding import Finding, Severity
 from incremental_mapper.config import Config
-from incremental_mapper.graph.factors import Factor, beside_gtsam
+from incremental_mapper.graph.factors import Factor
 from incremental_mapper.map.store import (
     MB,
     Points,
@@ -41,12 +39,18 @@ from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.mapping.result import WindowResult
 from incremental_mapper.measurements import Drops
 from incremental_mapper.results.journal.record_file import frame, title
+from incremental_mapper.results.plain_graph import (
+    cluster_tree,
+    core_tree,
+    factor_tree,
+    fix_tree,
+    packed,
+)
 from incremental_mapper.results.run_statistics import InputFacts, versions
 from incremental_mapper.settings import to_tree
 from incremental_mapper.smoothing.graph_state import (
     GraphState,
     PlacedCluster,
-    PlacedFix,
     PlacedScan,
 )
 
@@ -54,8 +58,6 @@ LOGGER = logging.getLogger('incremental_mapper')
 SUFFIX = '.journal'
 BEGINNING, POINTS, WINDOW, FAILED = b'B', b'P', b'W', b'F'
 """Kinds of records."""
-FAST = 1
-"""Level of compression."""
 
 
 class Journal:
@@ -106,7 +108,7 @@ class Journal:
                 'input': _facts_tree(facts),
                 'findings': [finding.to_tree() for finding in known],
             }
-            self._append(title() + frame(BEGINNING, _packed(tree)))
+            self._append(title() + frame(BEGINNING, packed(tree)))
             self._flush()
         except OSError as error:
             self._stop(f'{folder}: {error.strerror or error}')
@@ -169,7 +171,7 @@ class Journal:
             tree, texts = self._written.news(mapper, result)
             tree['wall_s'] = time.monotonic() - self._begun
             tree['drops'] = [[*place, count] for place, count in sorted(drops.items())]
-            self._append(frame(WINDOW, _packed(tree, *texts)))
+            self._append(frame(WINDOW, packed(tree, *texts)))
             self._written.any = self._written.any or bool(mapper.state.clusters)
         except OSError as error:
             self._stop(error.strerror or str(error))
@@ -296,10 +298,10 @@ class _Written:
         state = mapper.state
         graph, texts = self._graph(state)
         tree: dict[str, Any] = {'row': result.row, **graph}
-        tree['clusters'] = [_cluster_tree(placed) for placed in state.clusters[self._clusters :]]
+        tree['clusters'] = [cluster_tree(placed) for placed in state.clusters[self._clusters :]]
         tree['joined'] = self._joined(state)
         tree['scans'] = [_scan_tree(scan) for scan in state.scans[self._scans :]]
-        tree['fixes'] = [_fix_tree(fix) for fix in state.fixes[self._fixes :]]
+        tree['fixes'] = [fix_tree(fix) for fix in state.fixes[self._fixes :]]
         tree['enu_offset'] = state.enu_offset
         tree['georeferenced'] = state.georeferenced
         statistics = mapper.statistics.to_tree()
@@ -336,7 +338,7 @@ class _Written:
         graph = gtsam.NonlinearFactorGraph()
         for factor in new:
             graph.push_back(factor.factor)
-        tree['factors'] = [_factor_tree(factor) for factor in new]
+        tree['factors'] = [factor_tree(factor) for factor in new]
         empty = final.size() == 0
         texts = [
             graph.serialize() if new else '',
@@ -354,21 +356,7 @@ class _Written:
         if before is None or now is None or now is before:
             return None
         core = now.joined[len(before.joined) :]
-        return [now.id, [_core_tree(item) for item in core], now.stood[len(before.stood) :]]
-
-
-def _packed(tree: dict[str, Any], *texts: str) -> bytes:
-    """A tree, and texts behind it, whose lengths it tells."""
-    tree['texts'] = [len(text) for text in texts]
-    text = json.dumps(tree, default=_plain, separators=(',', ':'))
-    return zlib.compress('\n'.join([text, ''.join(texts)]).encode('ascii'), FAST)
-
-
-def _plain(value: Any) -> Any:
-    """What numpy holds, as JSON has it."""
-    if isinstance(value, (np.ndarray, np.generic)):
-        return value.tolist()
-    raise TypeError(f'{type(value).__name__} cannot be written')
+        return [now.id, [core_tree(item) for item in core], now.stood[len(before.stood) :]]
 
 
 def _facts_tree(facts: InputFacts) -> dict[str, Any]:
@@ -377,22 +365,6 @@ def _facts_tree(facts: InputFacts) -> dict[str, Any]:
         'kind': facts.kind,
         'counts': dict(facts.counts),
         'notes': list(facts.notes),
-    }
-
-
-def _core_tree(core: CoreMeasurement) -> list[Any]:
-    return [core.stamp, core.sensor, str(core.kind)]
-
-
-def _cluster_tree(placed: PlacedCluster) -> dict[str, Any]:
-    cluster = placed.cluster
-    return {
-        'id': placed.id,
-        'window': placed.window,
-        'members': [_core_tree(core) for core in cluster.members],
-        'bounds': [cluster.first, cluster.last],
-        'joined': [_core_tree(core) for core in placed.joined],
-        'stood': placed.stood,
     }
 
 
@@ -407,25 +379,4 @@ def _scan_tree(scan: PlacedScan) -> dict[str, Any]:
         'sensor': scan.sensor,
         'points': [stored.offset, *stored.shape],
         'T_cluster_scan': None if still else offset.matrix(),
-    }
-
-
-def _fix_tree(fix: PlacedFix) -> dict[str, Any]:
-    return {
-        'cluster': fix.cluster,
-        'stamp': fix.stamp,
-        'enu': fix.enu,
-        'covariance': fix.covariance,
-        'lever_arm': fix.lever_arm,
-        'factor': fix.factor,
-    }
-
-
-def _factor_tree(factor: Factor) -> dict[str, Any]:
-    return {
-        'kind': str(factor.kind),
-        'keys': factor.keys,
-        'sensor': factor.sensor,
-        'stamps': factor.stamps,
-        'beside': beside_gtsam(factor),
     }

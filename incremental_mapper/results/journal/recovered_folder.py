@@ -11,6 +11,7 @@ from incremental_mapper.results.journal.recovery import opened, recover
 from incremental_mapper.results.new_folder import write_folder
 from incremental_mapper.results.run_folder import is_whole, write_result
 from incremental_mapper.results.run_statistics import RunStatistics
+from incremental_mapper.results.sessions.going_on import whole_again
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,14 +46,15 @@ def recover_journal(
     target = (out or path.with_suffix('')).expanduser().absolute()
     with opened(path, alone=remove) as file:
         found = recover(path, file)
+        of_all = whole_again(found.result, found.config, found.facts)
         unreadable: list[str] = []
-        cloud = found.result.cloud(found.config.map, unreadable)
+        cloud = of_all.result.cloud(found.config.map, unreadable)
         statistics = RunStatistics.of_run(
-            found.result,
+            of_all.result,
             found.drops,
-            found.wall,
+            of_all.wall + found.wall,
             len(cloud),
-            found.facts,
+            of_all.facts,
             interrupted=True,
             findings=(*found.findings, *unreadable_findings(unreadable)),
         )
@@ -61,7 +63,7 @@ def recover_journal(
 
         def write(place: Path) -> None:
             try:
-                write_result(place, found.result, cloud, tree)
+                write_result(place, of_all.result, cloud, tree)
             except OutputError as error:
                 if not is_whole(place):
                     raise

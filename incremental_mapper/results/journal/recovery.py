@@ -2,11 +2,9 @@
 
 import fcntl
 import json
-import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from itertools import accumulate, pairwise
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -14,11 +12,10 @@ import gtsam
 import numpy as np
 
 from incremental_mapper.blas import single_threaded_blas
-from incremental_mapper.candidates.model import Cluster, CoreKind, CoreMeasurement
 from incremental_mapper.checks.finding import Finding, Severity, ranked
 from incremental_mapper.config import Config
 from incremental_mapper.errors import ConfigError, InputError
-from incremental_mapper.graph.factors import Factor, FactorKind, describer
+from incremental_mapper.graph.factors import Factor
 from incremental_mapper.map.store import MB, Points, PointsInFile, read_points
 from incremental_mapper.mapping.final_solve import final_values
 from incremental_mapper.mapping.judgement import judge_map
@@ -34,6 +31,15 @@ from incremental_mapper.results.journal.journal_writer import (
 )
 from incremental_mapper.results.journal.record_file import Damage, Record, content, records
 from incremental_mapper.results.manifest import require_whole
+from incremental_mapper.results.plain_graph import (
+    cluster_of_tree,
+    core_of,
+    factors_of,
+    findings_of,
+    fix_of,
+    unpacked,
+    values_of,
+)
 from incremental_mapper.results.run_folder import STATISTICS
 from incremental_mapper.results.run_statistics import InputFacts
 from incremental_mapper.selection.window_record import WindowRecord
@@ -195,7 +201,7 @@ def _read(path: Path, file: BinaryIO) -> _Reading:
                 reading.damage = item
         elif item.kind == BEGINNING:
             reading = _Reading(_unpacked(file, item))
-            reading.findings = _findings(reading.begun['findings'])
+            reading.findings = findings_of(reading.begun['findings'])
         elif reading is None:
             break
         elif item.kind == FAILED:
@@ -212,7 +218,7 @@ def _read(path: Path, file: BinaryIO) -> _Reading:
 def _take(reading: _Reading, tree: Tree, points: _Points) -> None:
     """Append a window, as the mapper did."""
     graph, lag, final = tree['texts']
-    factors = _factors(tree['factors'], graph)
+    factors = factors_of(tree['factors'], graph)
     if (order := tree.get('order')) is not None:
         # All of G(t) was replaced.
         known, new = reading.factors, iter(factors)
@@ -220,19 +226,19 @@ def _take(reading: _Reading, tree: Tree, points: _Points) -> None:
         reading.fixes, reading.final = [], gtsam.Values()
     else:
         reading.factors.extend(factors)
-    reading.final.insert_or_assign(_values(final))
-    reading.lag = _values(lag)
+    reading.final.insert_or_assign(values_of(final))
+    reading.lag = values_of(lag)
     if tree['joined'] is not None:
         number, core, stood = tree['joined']
         before = reading.clusters[number]
-        joined = (*before.joined, *map(_core, core))
+        joined = (*before.joined, *map(core_of, core))
         reading.clusters[number] = replace(before, joined=joined, stood=(*before.stood, *stood))
-    reading.clusters.extend(map(_cluster, tree['clusters']))
+    reading.clusters.extend(map(cluster_of_tree, tree['clusters']))
     reading.scans.extend(_scan(scan, points) for scan in tree['scans'])
-    reading.fixes.extend(map(_fix, tree['fixes']))
+    reading.fixes.extend(map(fix_of, tree['fixes']))
     reading.rows.append(tree['row'])
     if 'findings' in tree:
-        reading.findings = _findings(tree['findings'])
+        reading.findings = findings_of(tree['findings'])
     reading.last = tree
 
 
@@ -246,7 +252,7 @@ def _recovered(path: Path, reading: _Reading) -> Recovered:
     statistics = {**last['statistics'], 'settings': begun['settings']}
     statistics['solver_failures'] += int(failed)
     clusters = tuple(state.clusters)
-    known = _findings(begun['findings'])
+    known = findings_of(begun['findings'])
     result = MapResult(
         clusters=clusters,
         factors=(*state.factors, *closed.factors),
@@ -289,36 +295,7 @@ def _damaged(path: Path, damage: Damage | None) -> list[Finding]:
 
 def _unpacked(file: BinaryIO, record: Record) -> dict[str, Any]:
     """The tree of a record, with its texts in place of their lengths."""
-    try:
-        text, _, rest = zlib.decompress(content(file, record)).decode('ascii').partition('\n')
-    except zlib.error as error:
-        raise ValueError(str(error)) from error
-    tree: dict[str, Any] = json.loads(text)
-    ends = list(accumulate(tree['texts'], initial=0))
-    tree['texts'] = [rest[low:high] for low, high in pairwise(ends)]
-    return tree
-
-
-def _findings(trees: list[dict[str, Any]]) -> tuple[Finding, ...]:
-    return tuple(Finding(**{**tree, 'severity': Severity(tree['severity'])}) for tree in trees)
-
-
-def _values(text: str) -> gtsam.Values:
-    values = gtsam.Values()
-    if text:
-        values.deserialize(text)
-    return values
-
-
-def _core(tree: list[Any]) -> CoreMeasurement:
-    stamp, sensor, kind = tree
-    return CoreMeasurement(stamp, sensor, CoreKind(kind))
-
-
-def _cluster(tree: Tree) -> PlacedCluster:
-    cluster = Cluster(tuple(map(_core, tree['members'])), *tree['bounds'])
-    joined = tuple(map(_core, tree['joined']))
-    return PlacedCluster(tree['id'], tree['window'], cluster, joined, tuple(tree['stood']))
+    return unpacked(content(file, record))
 
 
 def _scan(tree: Tree, points: _Points) -> PlacedScan:
@@ -331,35 +308,3 @@ def _scan(tree: Tree, points: _Points) -> PlacedScan:
         PointsInFile(points, offset, (rows, columns)),
         gtsam.Pose3() if turned is None else gtsam.Pose3(np.array(turned)),
     )
-
-
-def _fix(tree: Tree) -> PlacedFix:
-    return PlacedFix(
-        tree['cluster'],
-        tree['stamp'],
-        np.array(tree['enu']),
-        np.array(tree['covariance']),
-        np.array(tree['lever_arm']),
-        tree['factor'],
-    )
-
-
-def _factors(trees: list[dict[str, Any]], text: str) -> list[Factor]:
-    """The new factors of a window, and their graph as GTSAM wrote it."""
-    graph = gtsam.NonlinearFactorGraph()
-    if text:
-        graph.deserialize(text)
-    made = []
-    for place, told in enumerate(trees):
-        kind = FactorKind(told['kind'])
-        made.append(
-            Factor(
-                kind=kind,
-                keys=tuple(told['keys']),
-                factor=graph.at(place),
-                sensor=told['sensor'],
-                stamps=tuple(told['stamps']),
-                describe=describer(kind, told['beside']),
-            )
-        )
-    return made
