@@ -216,14 +216,14 @@ def test_frames_of_two_datums_are_of_one_earth():
 def test_a_turned_session_fits_as_well_as_before(two):
     config = make_config({})
     result = read_saved_run(two[0], MemoryStore()).result
-    T = gtsam.Pose3(gtsam.Rot3.Yaw(0.4), np.array([30.0, -20.0, 1.0]))
-    moved = turned(result, T, config)
+    T_other_map = gtsam.Pose3(gtsam.Rot3.Yaw(0.4), np.array([30.0, -20.0, 1.0]))
+    moved = turned(result, T_other_map, config)
     for one, other in zip(result.factors, moved.factors, strict=True):
         if one.kind in (FactorKind.GNSS, FactorKind.IMU, FactorKind.ODOMETRY):
             apart = one.factor.error(result.values) - other.factor.error(moved.values)
             assert abs(apart) < 1e-4 * max(one.factor.error(result.values), 1.0)
     pose = result.values.atPose3(pose_key(3))
-    assert moved.values.atPose3(pose_key(3)).equals(T.compose(pose), 1e-9)
+    assert moved.values.atPose3(pose_key(3)).equals(T_other_map.compose(pose), 1e-9)
 
 
 def test_ties_pull_sessions_together(two):
