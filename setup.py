@@ -14,6 +14,7 @@ SETTINGS = sorted(str(path) for path in Path('config').iterdir())
 SIMULATION = ['embreex>=2.17.7.post4']
 REPORT = ['jinja2>=3.1', 'matplotlib>=3.8', 'pyarrow>=14']
 FORMATS = ['gpxpy>=1.6', 'laspy[lazrs]>=2.5', 'pyproj>=3.6']
+VIEW = ['rerun-sdk>=0.24']
 CLUSTER = ['distributed>=2024.1']
 CLOSURES = ['map-closures>=2.0']
 # GTSAM's wheel needs pytest 9, and Jazzy's launch_testing plugin does not load on 9.1 or later.
@@ -33,6 +34,7 @@ TESTS = [
     'types-PyYAML',
     'types-tqdm',
     *CLUSTER,
+    *VIEW,
 ]
 # Everything that the pages need is here: nothing is fetched while they are built or read.
 PAGES = [
@@ -84,6 +86,7 @@ setup(
         'sim': SIMULATION,
         'report': REPORT,
         'formats': FORMATS,
+        'view': VIEW,
         'cluster': CLUSTER,
         'closures': CLOSURES,
         'test': TESTS,

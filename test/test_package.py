@@ -22,6 +22,7 @@ PACKAGES = {
     'yaml': 'pyyaml',
     'annotated_types': 'annotated-types',
     'kiss_icp': 'kiss-icp',
+    'rerun': 'rerun-sdk',
 }
 """Distributions that are not called as their modules are."""
 KEYS = {

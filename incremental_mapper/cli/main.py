@@ -22,6 +22,7 @@ COMMANDS = {
     'play': ('play', 'play a bag into ROS topics'),
     'plot': ('plot', 'draw one picture of a finished run'),
     'export': ('export', 'write a finished run in the formats of other programs'),
+    'view': ('view', 'show a finished run, or a running node, in Rerun'),
     'inspect': ('inspect_window', 'show what a window of a finished run chose from, and why'),
 }
 """Modules of the commands, and what the program's help says of them."""

@@ -77,6 +77,13 @@ def add_parser(subparsers: Any) -> None:
         help="write run_bag too: poses, path, map, graph and statistics on the node's topics, for "
         'RViz and Foxglove',
     )
+    parser.add_argument('--view', action='store_true', help='watch it in Rerun (extra "view")')
+    parser.add_argument(
+        '--rrd',
+        type=Path,
+        metavar='FILE',
+        help='write what --view shows to a file (.rrd)',
+    )
     parser.add_argument(
         '--force', action='store_true', help='write into OUT_DIR although it is not empty'
     )
@@ -94,15 +101,23 @@ def run(args: argparse.Namespace) -> int:
     from incremental_mapper.results.run_folder import prepare_folder
     from incremental_mapper.results.summary import brief, summary
 
+    if args.view or args.rrd is not None:
+        from incremental_mapper.visualization.rerun_scene import check_rrd, load_rerun
+
+        load_rerun()  # what is missing is told before the folder is made
+        if args.rrd is not None:
+            check_rrd(args.rrd)
     tree = _settings(args)
     drive = open_drive(args.input, tree, str(args.config or 'settings'), args.truth)
     folder = _out_dir(args, drive.config.session.folder)
     prepare_folder(folder, args.force)
     for note in drive.all_notes():
         print(f'note: {note}', file=sys.stderr)
-    stop = Stop()
+    stop, watch = Stop(), _watch(args, folder)
     with stop.listening(), Progress(drive.source.info.count) as progress:
-        done, remarks = map_into(folder, drive, progress.read, stop, progress.stage, _watch(args))
+        done, remarks = map_into(
+            folder, drive, progress.read, stop, progress.stage, _watch(args, folder)
+        )
         progress.stage('report')
         _write_report(folder, drive.truth)
     found = [note for note in done.statistics.input.notes if note not in drive.all_notes()]
@@ -122,13 +137,18 @@ def run(args: argparse.Namespace) -> int:
     return exit_status.FAILURE if failed else 0
 
 
-def _watch(args: argparse.Namespace) -> 'list[Watch]':
+def _watch(args: argparse.Namespace, folder: Path) -> 'list[Watch]':
     """What is made of the run beside its files."""
     watch: list[Watch] = []
     if args.bag:
         from incremental_mapper.results.messages.output_bag import output_bag
 
-        watch.append(partial(output_bag, args.out_dir))
+        watch.append(partial(output_bag, folder))
+    for wanted, save in ((args.view, None), (args.rrd is not None, args.rrd)):
+        if wanted:
+            from incremental_mapper.results.run_view import run_view
+
+            watch.append(partial(run_view, save))
     return watch
 
 

@@ -182,18 +182,22 @@ class NodeClient:
 
 
 @contextmanager
-def open_client(domain: int, name: str = 'incremental_mapper') -> Iterator[NodeClient]:
+def open_client(
+    domain: int, name: str = 'incremental_mapper', local: bool = True
+) -> Iterator[NodeClient]:
     """Listen to a node while the block runs.
 
     Args:
-        domain: a ROS domain; only this machine is looked at.
+        domain: a ROS domain.
         name: the node's name.
+        local: look at this machine only, whatever the environment says.
 
     Yields:
         The client, whose context and thread are its own.
     """
-    # The middleware reads this when the context is made.
-    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+    if local:
+        # The middleware reads this when the context is made.
+        os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
     context = Context()
     rclpy.init(
         args=[],

@@ -6,21 +6,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from incremental_mapper.graph.factors import FactorKind
 from incremental_mapper.mapping.live_map import GraphView
 from incremental_mapper.results.messages.result_messages import ResultMessages
+from incremental_mapper.visualization.factor_colours import (
+    CLUSTER_COLOUR,
+    FACTOR_COLOURS,
+    POSE_COLOUR,
+    PRIOR_COLOUR,
+)
 
-FACTOR_COLOURS = {
-    str(FactorKind.ODOMETRY): (0.9, 0.6, 0.0),
-    str(FactorKind.IMU): (0.35, 0.7, 0.9),
-    str(FactorKind.GNSS): (0.0, 0.6, 0.5),
-    str(FactorKind.BRIDGE): (0.8, 0.2, 0.2),
-    str(FactorKind.CLOSURE): (0.8, 0.6, 0.7),
-}
-"""Red, green, blue, each from 0 to 1."""
-POSE_COLOUR = (0.1, 0.1, 0.1)
-BOX_COLOUR = (0.0, 0.45, 0.7)
-_PRIOR_COLOUR = (0.8, 0.5, 0.7)
 _POSE_SIZE, _PRIOR_SIZE, _LINE_WIDTH = 0.25, 0.5, 0.06
 _BOX_SIZE = (0.7, 0.7, 0.5)
 _BOX_OPACITY = 0.4
@@ -60,14 +54,14 @@ def graph_markers(messages: ResultMessages, view: GraphView, frame: str) -> Any:
 
     markers = [
         marker('poses', 'SPHERE_LIST', view.poses, POSE_COLOUR, (_POSE_SIZE,) * 3),
-        marker('priors', 'CUBE_LIST', view.priors, _PRIOR_COLOUR, (_PRIOR_SIZE,) * 3),
+        marker('priors', 'CUBE_LIST', view.priors, PRIOR_COLOUR, (_PRIOR_SIZE,) * 3),
     ]
     for kind, ends in sorted(view.edges.items()):
         lines = ends.reshape(-1, 3)
         colour = FACTOR_COLOURS.get(kind, POSE_COLOUR)
         markers.append(marker(kind, 'LINE_LIST', lines, colour, (_LINE_WIDTH,) * 3))
     markers.append(
-        marker('clusters', 'CUBE_LIST', view.merged, BOX_COLOUR, _BOX_SIZE, _BOX_OPACITY)
+        marker('clusters', 'CUBE_LIST', view.merged, CLUSTER_COLOUR, _BOX_SIZE, _BOX_OPACITY)
     )
     # RViz complains of lists without points.
     return _array(messages, frame, view.stamp, (item for item in markers if item.points))

@@ -1,0 +1,330 @@
+"""A run in Rerun: what is seen of it, from plain values, whoever has them.
+
+One time line has the stamps of the windows, another their numbers. What is added up (points of the
+map, fixes) is logged once and shown for all time before the cursor; the rest is logged as it is.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from incremental_mapper.errors import InputError, OutputError
+from incremental_mapper.visualization.factor_colours import (
+    CLUSTER_COLOUR,
+    FACTOR_COLOURS,
+    POSE_COLOUR,
+    PRIOR_COLOUR,
+)
+
+INSTALL = 'pip install "incremental_mapper[view]"'
+APPLICATION = 'incremental_mapper'
+STAMP, WINDOW = 'stamp', 'window'
+"""Names of the time lines."""
+POINTS, FIXES, CAR, PATH = 'map/points', 'map/fixes', 'map/car', 'map/path'
+GRAPH, NUMBERS, CANDIDATES = 'map/graph', 'numbers', 'candidates'
+SCORES = f'{NUMBERS}/score'
+WHOLE_GRAPH = 'map/whole_graph'
+_PARTS = ('poses', 'clusters', 'priors', *FACTOR_COLOURS)
+_ADDED_UP = (f'{POINTS}/0', f'{POINTS}/1', FIXES, *(f'{WHOLE_GRAPH}/{part}' for part in _PARTS))
+_SIGMAS = 3.0
+"""Half axes of a fix's ellipsoid are so many standard deviations."""
+_LOW, _HIGH = -3.0, 12.0
+"""Heights above base_link, metres, between which the colours of points run."""
+_RAMP = np.array([[48, 63, 140], [44, 140, 150], [150, 190, 90], [245, 200, 80], [235, 100, 60]])
+_SHOWN = 12
+"""Candidates in the table of a window, the best of them."""
+
+
+@dataclass(frozen=True, slots=True)
+class ShownCandidate:
+    """A candidate of a window; a number that it did not get is None."""
+
+    members: str
+    vertices: int
+    score: float | None
+    time_shift: float
+    solver_error: float | None
+    winner: bool
+    tied: bool | None
+
+
+class RerunScene:
+    """Logs a run into one recording; every method logs at the time that ``at`` has set."""
+
+    def __init__(self, save: Path | None, spawn: bool = True) -> None:
+        """Begin a recording.
+
+        Args:
+            save: The file that it is written to; None keeps none.
+            spawn: Open a viewer and stream into it, where nothing is saved.
+
+        Raises:
+            InputError: Rerun is not installed, or its viewer does not start.
+            OutputError: The file cannot be written.
+        """
+        self._rr = rr = load_rerun()
+        self._turns = 0
+        self._stream = rr.RecordingStream(APPLICATION)
+        blueprint = _blueprint()
+        if save is not None:
+            try:
+                self._stream.save(save, default_blueprint=blueprint)
+            except (OSError, RuntimeError) as error:
+                raise OutputError(f'{save}: cannot be written ({error})') from error
+        elif spawn:
+            try:
+                self._stream.spawn(default_blueprint=blueprint)
+            except RuntimeError as error:
+                raise InputError(f'the viewer of Rerun does not start ({error})') from error
+        self._log('map', rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        self._log(CAR, rr.TransformAxes3D(2.0), static=True)
+        lines = rr.SeriesLines(
+            names=['winner', 'lowest', 'median'],
+            colors=[(235, 60, 60), (80, 140, 235), (150, 150, 150)],
+            widths=[2.5, 1.0, 1.0],
+        )
+        self._log(SCORES, lines, static=True)
+
+    def at(self, stamp: int, window: int) -> None:
+        """Set the time.
+
+        Args:
+            stamp: Nanoseconds.
+            window: Number of the window.
+        """
+        self._stream.set_time(STAMP, timestamp=np.datetime64(stamp, 'ns'))
+        self._stream.set_time(WINDOW, sequence=window)
+
+    def points(self, points: NDArray[np.floating], height: float) -> None:
+        """Add points (N, 3 or more) to the map, metres; ``height`` is that of base_link there."""
+        positions = points[:, :3].astype(np.float32)
+        colours = _colours(positions[:, 2] - height)
+        self._log(f'{POINTS}/{self._turns}', self._rr.Points3D(positions, colors=colours))
+
+    def turned(self, T_new_old: NDArray[np.float64]) -> None:
+        """Lay all points so far elsewhere: the map became east, north, up, once in a run.
+
+        Args:
+            T_new_old: (4, 4), from the frame that they were logged in.
+        """
+        transform = self._rr.Transform3D(translation=T_new_old[:3, 3], mat3x3=T_new_old[:3, :3])
+        self._log(f'{POINTS}/{self._turns}', transform)
+        self._turns = min(self._turns + 1, 1)
+
+    def car(self, T_map_base: NDArray[np.float64]) -> None:
+        """Set where the car is, (4, 4)."""
+        self._log(
+            CAR, self._rr.Transform3D(translation=T_map_base[:3, 3], mat3x3=T_map_base[:3, :3])
+        )
+
+    def path(self, positions: NDArray[np.float64]) -> None:
+        """Show the way (N, 3), metres, in place of the one before."""
+        self._log(PATH, self._rr.LineStrips3D([positions], colors=[(235, 60, 60)], radii=[0.12]))
+
+    def graph(
+        self,
+        poses: NDArray[np.float64],
+        merged: NDArray[np.float64],
+        edges: Mapping[str, NDArray[np.float64]],
+        priors: NDArray[np.float64],
+        add: bool = False,
+    ) -> None:
+        """Show a part of the graph in place of the one before.
+
+        Args:
+            poses: (N, 3), metres.
+            merged: Those of them (M, 3) whose clusters hold several measurements.
+            edges: Ends (E, 2, 3) of factors by their kind.
+            priors: (P, 3).
+            add: Add it to those before instead.
+        """
+        rr, place = self._rr, WHOLE_GRAPH if add else GRAPH
+        self._log(f'{place}/poses', rr.Points3D(poses, colors=[_bytes(POSE_COLOUR)], radii=[0.12]))
+        boxes = rr.Boxes3D(
+            centers=merged, half_sizes=[(0.35, 0.35, 0.25)], colors=[_bytes(CLUSTER_COLOUR)]
+        )
+        self._log(f'{place}/clusters', boxes)
+        priors_shown = rr.Points3D(priors, colors=[_bytes(PRIOR_COLOUR)], radii=[0.3])
+        self._log(f'{place}/priors', priors_shown)
+        for kind in FACTOR_COLOURS:
+            ends = edges.get(kind, np.zeros((0, 2, 3)))
+            lines = rr.LineStrips3D(ends, colors=[_bytes(FACTOR_COLOURS[kind])], radii=[0.04])
+            self._log(f'{place}/{kind}', lines)
+
+    def fixes(self, positions: NDArray[np.float64], covariances: NDArray[np.float64]) -> None:
+        """Add fixes with their ellipsoids of three standard deviations.
+
+        Args:
+            positions: Of the antenna (K, 3), metres in the map.
+            covariances: (K, 3, 3), m^2, along the axes of the map.
+        """
+        variances, axes = np.linalg.eigh(covariances)
+        axes[np.linalg.det(axes) < 0.0, :, 0] *= -1.0  # eigenvectors may be mirrored
+        self._log(
+            FIXES,
+            self._rr.Ellipsoids3D(
+                centers=positions,
+                half_sizes=_SIGMAS * np.sqrt(np.maximum(variances, 0.0)),
+                quaternions=[_quaternion(turn) for turn in axes],
+                colors=[_bytes(FACTOR_COLOURS['gnss'])],
+            ),
+        )
+
+    def candidates(self, candidates: Sequence[ShownCandidate], score_name: str) -> None:
+        """Show what a window chose from, and add its scores to their time line.
+
+        Args:
+            candidates: Those that were looked at.
+            score_name: What the scores are.
+        """
+        rr = self._rr
+        ranked = sorted(
+            candidates, key=lambda item: np.inf if item.score is None else float(item.score)
+        )
+        scores = np.array([item.score for item in ranked if item.score is not None])
+        winner = next((item.score for item in ranked if item.winner), None)
+        if len(scores):
+            # From zero up all bars would be as good as equal.
+            self._log(f'{CANDIDATES}/scores', rr.BarChart(100.0 * (scores / scores[0] - 1.0)))
+            three = [np.nan if winner is None else winner, scores[0], float(np.median(scores))]
+            self._log(SCORES, rr.Scalars(three))
+        text = _table(ranked, score_name)
+        self._log(f'{CANDIDATES}/table', rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
+
+    def winner_score(self, score: float) -> None:
+        """Add the score of a winner to its time line where the others' are not known."""
+        self._log(SCORES, self._rr.Scalars([score]))
+
+    def numbers(self, numbers: Mapping[str, float]) -> None:
+        """Add numbers to their time lines, by name."""
+        for name, value in numbers.items():
+            self._log(f'{NUMBERS}/{name}', self._rr.Scalars(value))
+
+    def close(self) -> None:
+        """Write or send what waits."""
+        self._stream.flush()
+        self._stream.disconnect()
+
+    def _log(self, place: str, what: Any, static: bool = False) -> None:
+        self._stream.log(place, what, static=static)
+
+
+def load_rerun() -> Any:
+    """The library.
+
+    Raises:
+        InputError: It is not installed.
+    """
+    try:
+        import rerun
+        import rerun.blueprint
+    except ImportError as error:
+        raise InputError(
+            f'rerun-sdk is missing, which shows runs; install it with: {INSTALL}'
+        ) from error
+    return rerun
+
+
+def check_rrd(path: Path) -> None:
+    """Tell early where a file cannot be one of Rerun.
+
+    Args:
+        path: The file that a user names.
+
+    Raises:
+        OutputError: It has another suffix, or no folder to lie in.
+    """
+    if path.suffix != '.rrd':
+        raise OutputError(f'{path}: Rerun knows its files by their suffix; name one with .rrd')
+    if not path.absolute().parent.is_dir():
+        raise OutputError(f'{path}: cannot be written (no such folder)')
+
+
+def _blueprint() -> Any:
+    """How the viewer is laid out at first."""
+    import rerun.blueprint as rrb
+
+    until_now = rrb.VisibleTimeRanges(
+        [
+            rrb.VisibleTimeRange(
+                line,
+                start=rrb.TimeRangeBoundary.infinite(),
+                end=rrb.TimeRangeBoundary.cursor_relative(),
+            )
+            for line in (STAMP, WINDOW)
+        ]
+    )
+    scene = rrb.Spatial3DView(
+        origin='map',
+        name='map',
+        background=[245, 245, 245],
+        overrides={place: until_now for place in _ADDED_UP},
+    )
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            scene,
+            rrb.Vertical(
+                rrb.TimeSeriesView(origin=SCORES, name='scores'),
+                rrb.BarChartView(
+                    origin=f'{CANDIDATES}/scores', name='candidates, % above the lowest'
+                ),
+                rrb.TextDocumentView(origin=f'{CANDIDATES}/table', name='the best of them'),
+                rrb.TimeSeriesView(origin=NUMBERS, contents=_other_numbers(), name='graph'),
+            ),
+            column_shares=[3, 2],
+        ),
+        rrb.TimePanel(timeline=STAMP, state='collapsed', play_state='following'),
+        collapse_panels=True,
+    )
+
+
+def _other_numbers() -> list[str]:
+    return [f'+ /{NUMBERS}/**', f'- /{SCORES}/**']
+
+
+def _table(ranked: Sequence[ShownCandidate], score_name: str) -> str:
+    """The best candidates, and the winner where it is none of them, as Markdown."""
+    shown = [item for place, item in enumerate(ranked) if place < _SHOWN or item.winner]
+    lines = [
+        f'{len(ranked)} candidates, score: {score_name or "none"}',
+        '',
+        '| | score | vertices | time shift s | solver error | clusters |',
+        '|---|--:|--:|--:|--:|---|',
+    ]
+    for item in shown:
+        mark = '**winner**' if item.winner else 'ties' if item.tied else ''
+        members = item.members.replace('|', ' / ')
+        lines.append(
+            f'| {mark} | {_number(item.score)} | {item.vertices} | {item.time_shift:.4f} '
+            f'| {_number(item.solver_error)} | {members} |'
+        )
+    return '\n'.join(lines)
+
+
+def _number(value: float | None) -> str:
+    return '' if value is None else f'{value:.5g}'
+
+
+def _colours(heights: NDArray[np.floating]) -> NDArray[np.uint8]:
+    """Colours (N, 3) of heights above the car, metres."""
+    share = np.clip((heights - _LOW) / (_HIGH - _LOW), 0.0, 1.0) * (len(_RAMP) - 1)
+    stops = np.arange(len(_RAMP))
+    channels = [np.interp(share, stops, _RAMP[:, channel]) for channel in range(3)]
+    return np.stack(channels, axis=1).astype(np.uint8)
+
+
+def _bytes(colour: tuple[float, float, float]) -> tuple[int, int, int]:
+    red, green, blue = (round(255 * part) for part in colour)
+    return red, green, blue
+
+
+def _quaternion(turn: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A rotation (3, 3) as x, y, z, w."""
+    from scipy.spatial.transform import Rotation
+
+    numbers: NDArray[np.float64] = Rotation.from_matrix(turn).as_quat()
+    return numbers
