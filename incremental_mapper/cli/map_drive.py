@@ -115,9 +115,7 @@ def run(args: argparse.Namespace) -> int:
         print(f'note: {note}', file=sys.stderr)
     stop, watch = Stop(), _watch(args, folder)
     with stop.listening(), Progress(drive.source.info.count) as progress:
-        done, remarks = map_into(
-            folder, drive, progress.read, stop, progress.stage, _watch(args, folder)
-        )
+        done, remarks = map_into(folder, drive, progress.read, stop, progress.stage, watch)
         progress.stage('report')
         _write_report(folder, drive.truth)
     found = [note for note in done.statistics.input.notes if note not in drive.all_notes()]
