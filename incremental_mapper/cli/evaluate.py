@@ -11,6 +11,7 @@ from typing import Any
 from tqdm import tqdm
 
 from incremental_mapper.cli import exit_status
+from incremental_mapper.cli.workers_option import add_workers, check_workers, workers_of
 from incremental_mapper.config import Tree
 from incremental_mapper.datasets.open import read_truth
 from incremental_mapper.errors import ConfigError
@@ -25,7 +26,7 @@ from incremental_mapper.evaluation.jobs import Job, Outcome, Status, plan_jobs
 from incremental_mapper.evaluation.record import Evaluation
 from incremental_mapper.evaluation.table_files import Reference, read_csv, write_tables
 from incremental_mapper.evaluation.table_text import plain_table
-from incremental_mapper.evaluation.workers import ClusterWorkers, LocalWorkers, Workers
+from incremental_mapper.evaluation.workers import Workers
 from incremental_mapper.selection.strategies import labelled, strategy_names
 from incremental_mapper.settings import make_config, merge, read_yaml
 from incremental_mapper.visualization.extras import LIBRARIES, importable, left_out
@@ -77,20 +78,7 @@ def add_parser(subparsers: Any) -> None:
         help='cut every drive into standing, acceleration, constant speed and deceleration, '
         'and give each its rows',
     )
-    workers = parser.add_mutually_exclusive_group()
-    workers.add_argument(
-        '--jobs',
-        type=int,
-        default=1,
-        metavar='N',
-        help='runs side by side, each in a process (default: %(default)s)',
-    )
-    workers.add_argument(
-        '--scheduler',
-        metavar='ADDRESS',
-        help='run on the workers of a Dask cluster, such as tcp://host:8786, that see the same '
-        'folders under the same paths',
-    )
+    add_workers(parser, 'runs')
     parser.add_argument(
         '--reference',
         type=Path,
@@ -127,7 +115,7 @@ def run(args: argparse.Namespace) -> int:
     plan = _plan(args)
     reference = _reference(args.reference, args.reference_names, plan.jobs)
     todo = list(plan.jobs) if args.force else unfinished(plan.jobs)
-    with _workers(args) as workers:
+    with workers_of(args) as workers:
         prepare_out_dir(plan.out_dir, args.inputs, args.force)
         evaluation = _evaluate(plan, todo, workers)
     table = write_tables(evaluation, plan.by_motion, reference)
@@ -171,8 +159,7 @@ def _plan(args: argparse.Namespace) -> Plan:
                 f'--strategies: {name!r} is none; known are {", ".join(strategy_names())}'
             )
         make_config(own, f'--strategies: {name}')
-    if args.jobs < 1:
-        raise ConfigError(f'--jobs is {args.jobs}; expected 1 or more')
+    check_workers(args)
     where = str(args.config or 'settings')
     tree: Tree = {} if args.config is None else read_yaml(args.config)
     if args.verify:
@@ -223,15 +210,6 @@ def _pair(text: str) -> tuple[str, str]:
     if not (ours and equals and theirs):
         raise ConfigError(f'--reference-names: {text!r} is no pair; expected OURS=THEIRS')
     return ours, theirs
-
-
-def _workers(args: argparse.Namespace) -> Workers:
-    if args.scheduler is None:
-        return LocalWorkers(args.jobs)
-    cluster = ClusterWorkers(args.scheduler)
-    if cluster.count == 0:
-        print('note: the cluster has no workers yet; waiting for some', file=sys.stderr)
-    return cluster
 
 
 def _write_report(out_dir: Path) -> None:

@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 
 from incremental_mapper.compiled import waiting
 from incremental_mapper.config import Config
-from incremental_mapper.geometry import transform_points
+from incremental_mapper.geometry import matrix_numbers, transform_points
 from incremental_mapper.graph.factors import Factor, FactorKind, pose_numbers
 from incremental_mapper.map.cloud import joined, with_known_light
 from incremental_mapper.map.voxel_grid import VoxelGrid, warm_up
 from incremental_mapper.mapping.mapper import Mapper
+from incremental_mapper.mapping.result import MapResult
 from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.smoothing.graph_state import GraphState, PlacedScan
 from incremental_mapper.variables import cluster_of
@@ -51,10 +52,18 @@ class PathView:
 class LiveMap:
     """Follows a mapper; ``follow`` is to be called after every window."""
 
-    def __init__(self, mapper: Mapper) -> None:
+    def __init__(self, mapper: Mapper, earlier: MapResult | None = None) -> None:
+        """Begin.
+
+        Args:
+            mapper: The mapper.
+            earlier: The map before, in the frame that the mapper's has once it is ENU; it is shown
+                from then on.
+        """
         with waiting():
             warm_up()  # no window need wait for the compiler
         self._mapper = mapper
+        self._earlier = earlier
         self._bright = False  # whether any scan has intensities
         self._path: list[tuple[int, list[float]]] = []
         self._stride = 1
@@ -168,6 +177,16 @@ class LiveMap:
         self._clusters = 0
         self._path = []
         self._stride = 1
+        if self._earlier is not None and self._georeferenced:
+            self._show(self._earlier)
+
+    def _show(self, earlier: MapResult) -> None:
+        for points, pose in earlier.placed_scans([]):
+            self._cloud.add(points, pose)
+        way = earlier.trajectory
+        stride = max(-(-4 * len(way) // self._config.path.max_poses), 1)
+        poses = [matrix_numbers(matrix) for matrix in way.matrices()[::stride]]
+        self._path = list(zip(way.stamps[::stride].tolist(), poses, strict=True))
 
     def _empty_grid(self) -> VoxelGrid:
         settings = self._config.map

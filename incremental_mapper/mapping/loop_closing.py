@@ -110,16 +110,25 @@ def close_loops(state: GraphState, values: gtsam.Values, config: Config) -> Clos
         for one in found.closures
     )
     note = '' if can_recognise() else NO_LIBRARY
-    solved = _solved(plain, factors, values)
+    solved = solve_with_closures(plain, factors, values)
     kept = len(solved.factors)
     refused = found.refused + Counter(refuted=len(factors) - kept)
     return Closed(solved.values, solved.factors, found.candidates, refused, note)
 
 
-def _solved(
+def solve_with_closures(
     plain: list[gtsam.NonlinearFactor], factors: tuple[Factor, ...], values: gtsam.Values
 ) -> Closed:
-    """The map solved with closures, without those that it refutes."""
+    """The map solved with closures, without those that it refutes.
+
+    Args:
+        plain: All other factors.
+        factors: The closures.
+        values: The optimum without them.
+
+    Returns:
+        The closures that are left, and the values with them.
+    """
     for _ in range(ROUNDS):
         if not factors:
             break

@@ -21,6 +21,7 @@ from incremental_mapper.results.candidate_spool import CandidateSpool
 from incremental_mapper.results.candidate_table import FILE_NAME
 from incremental_mapper.results.journal.journal_writer import Journal
 from incremental_mapper.results.run_statistics import InputFacts
+from incremental_mapper.results.sessions.going_on import EarlierMap
 from incremental_mapper.ros.inbox import View
 from incremental_mapper.ros.saving import Snapshot
 from incremental_mapper.ros.subscriptions import GNSS, IMU
@@ -49,6 +50,7 @@ class MapSession:
         config: Config,
         mended: Sequence[Finding] = (),
         outside: Callable[[], Drops] = Drops,
+        earlier: EarlierMap | None = None,
     ) -> None:
         """Begin a map.
 
@@ -56,7 +58,9 @@ class MapSession:
             config: All settings.
             mended: What they put right.
             outside: Tells what was lost before the mapper.
+            earlier: The map that it goes on with, in whose frame ``config`` puts it.
         """
+        self._earlier = earlier
         self._mended, self._outside = tuple(mended), outside
         self.limited_windows = self.scan_bytes = self.cloud_bytes = self.disk_bytes = 0
         gc.collect()  # a map before this one is large, and may wait in cycles of references
@@ -157,6 +161,7 @@ class MapSession:
             peak_rss_mb(),
             self._spool,
             self.journal,
+            self._earlier,
         )
 
     def taken(self, reason: str) -> Drops:
@@ -210,6 +215,10 @@ class MapSession:
         self.cloud_bytes = self._live.nbytes
         points = self._live.placed(scans)
         findings = ranked([*self._mended, *self._mapper.findings])
+        if self._earlier is not None:
+            known = self._mapper.state.georeferenced
+            stats['session'] = 'joined' if known else 'apart'
+            findings = findings if known else ranked([self._earlier.apart(False), *findings])
         return WindowUpdate(result, newest, points, stats, findings)
 
 

@@ -17,8 +17,9 @@ from incremental_mapper.results.candidate_spool import CandidateSpool
 from incremental_mapper.results.candidate_table import FILE_NAME, candidate_recorder
 from incremental_mapper.results.journal.journal_writer import Journal
 from incremental_mapper.results.new_folder import free_name, hidden_folder, sync_folder
-from incremental_mapper.results.run_folder import GRAPH, TRAJECTORY, write_result
+from incremental_mapper.results.run_folder import GRAPH, TRAJECTORY, FinishedRun, write_result
 from incremental_mapper.results.run_statistics import InputFacts, RunStatistics
+from incremental_mapper.results.sessions.going_on import EarlierMap, whole
 
 EMPTY = 'the map is empty, nothing was saved; no scan and no fix was mapped yet'
 
@@ -36,6 +37,7 @@ class Snapshot:
         peak_rss_mb: The largest resident memory of the node.
         spool: The candidates of all windows, where they are kept.
         journal: The map's journal, if there is one.
+        earlier: The map that it goes on with: what is saved is the map of both.
     """
 
     mapper: Mapper
@@ -46,6 +48,7 @@ class Snapshot:
     peak_rss_mb: float
     spool: CandidateSpool | None = None
     journal: Journal | None = None
+    earlier: EarlierMap | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,12 +115,20 @@ def save_map(target: Target, snapshot: Snapshot) -> Saved:
     result = snapshot.mapper.result()
     if not result.clusters:
         raise OutputError(EMPTY)
+    config = snapshot.mapper.config
+    of_all = whole(snapshot.earlier, result, config, snapshot.facts)
+    result = of_all.result
     unreadable: list[str] = []
-    cloud = result.cloud(snapshot.mapper.config.map, unreadable)
+    cloud = result.cloud(config.map, unreadable)
     lost = unreadable_findings(unreadable)
     findings = [*snapshot.findings, *lost]
     statistics = RunStatistics.of_run(
-        result, snapshot.drops, snapshot.wall, len(cloud), snapshot.facts, findings=findings
+        result,
+        snapshot.drops,
+        of_all.wall + snapshot.wall,
+        len(cloud),
+        of_all.facts,
+        findings=findings,
     )
     tree = replace(statistics, peak_rss_mb=snapshot.peak_rss_mb).to_tree()
     folder = target.folder.expanduser().absolute()
@@ -136,10 +147,12 @@ def write_candidates(folder: Path, spool: CandidateSpool) -> str | None:
         spool: The candidates of its windows.
     """
     try:
+        sessions = FinishedRun(folder).stats.get('sessions', ())
+        before = sum(one['windows'] for one in sessions[:-1])
         with candidate_recorder(folder / FILE_NAME) as record:
             if record is not None:
                 for window in spool.windows():
-                    record(window)
+                    record(replace(window, index=window.index + before))
     except (OutputError, OSError) as error:
         return f'no {FILE_NAME}: {error}'
     return f'{FILE_NAME} ends early: {spool.trouble}' if spool.trouble else None

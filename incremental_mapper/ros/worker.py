@@ -14,6 +14,7 @@ from incremental_mapper.datasets.sensor_settings import with_settings
 from incremental_mapper.errors import MapperError
 from incremental_mapper.measurements import Drops, LidarScan, Measurement
 from incremental_mapper.results.offline_run import MOST_MENDS
+from incremental_mapper.results.sessions.going_on import earlier_map
 from incremental_mapper.ros.beginning import Beginning
 from incremental_mapper.ros.inbox import Command, Deadline, Inbox, Order, Renewal
 from incremental_mapper.ros.left_over import LeftOver
@@ -51,6 +52,11 @@ class Worker:
     """
 
     def __init__(self, config: Config, emit: Callable[[Update], None]) -> None:
+        # Once: a map before may be large, and every map of this node goes on from it.
+        self._earlier = earlier_map(config.session.folder, config.map)
+        if self._earlier is not None:
+            tree = merge(to_tree(config), self._earlier.settings)
+            config = make_config(tree, str(config.session.folder))
         self.config = config
         self._given = to_tree(config)
         self.inbox = Inbox(config.queue)
@@ -220,7 +226,7 @@ class Worker:
         return None
 
     def _new_session(self) -> MapSession:
-        return MapSession(self.config, self._known, self.drops)
+        return MapSession(self.config, self._known, self.drops, self._earlier)
 
     def _too_late(self) -> bool:
         return self._deadline is not None and self._deadline.passed()

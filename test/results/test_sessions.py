@@ -13,7 +13,7 @@ from drive_edits import scans, table
 from incremental_mapper.cli.main import main
 from incremental_mapper.errors import ConfigError, InputError
 from incremental_mapper.frontend.gnss import Datum
-from incremental_mapper.graph.factors import FactorKind, between_factor
+from incremental_mapper.graph.factors import FactorKind, closure_factor
 from incremental_mapper.map.store import MemoryStore
 from incremental_mapper.measurements import NANOSECONDS, GnssFix
 from incremental_mapper.results.graph_json import compare_graphs, graph_tree
@@ -231,15 +231,30 @@ def test_ties_pull_sessions_together(two):
     part = read_saved_run(two[0], MemoryStore()).result
     count = len(part.clusters)
     keys = (pose_key(2), pose_key(count + 2))
-    apart = gtsam.Pose3(gtsam.Rot3(), np.array([0.0, 0.0, 0.5]))
-    tie = between_factor(FactorKind.BRIDGE, keys, apart, np.eye(6) * 1e-8, None, (0, 0))
-    both = joined([part, part], config, ties=[tie])
+    apart = gtsam.Pose3(gtsam.Rot3(), np.array([0.0, 0.0, 0.05]))
+    tie = closure_factor(keys, apart, np.eye(6) * 1e-4, 0.0, (0, 0))
+    both = joined([part, part], config, [tie], 1)
     free = joined([part, part], config)
-    assert both.statistics.factors == free.statistics.factors + 1
+    assert both.statistics.factors == free.statistics.factors + 1 == len(both.factors)
+    assert both.statistics.closures['accepted'] == both.statistics.factors_by_kind['closure'] == 1
+    assert [one.joined_by for one in both.sessions] == ['', 'fixes and closures']
     poses = [both.values.atPose3(key) for key in keys]
-    assert np.allclose(poses[0].between(poses[1]).translation(), [0.0, 0.0, 0.5], atol=0.01)
+    assert np.allclose(poses[0].between(poses[1]).translation(), [0.0, 0.0, 0.05], atol=0.02)
     poses = [free.values.atPose3(key) for key in keys]
     assert poses[0].equals(poses[1], 1e-6)
+
+
+def test_a_tie_that_the_fixes_refute_is_left_out(two):
+    config = make_config({'graph': {'final_optimization': True}})
+    part = read_saved_run(two[0], MemoryStore()).result
+    keys = (pose_key(2), pose_key(len(part.clusters) + 2))
+    wrong = gtsam.Pose3(gtsam.Rot3(), np.array([0.0, 20.0, 0.0]))
+    tie = closure_factor(keys, wrong, np.eye(6) * 1e-4, 3.0, (0, 0))
+    both = joined([part, part], config, [tie], 1)
+    assert both.statistics.closures['accepted'] == 0
+    assert len(both.factors) == both.statistics.factors == 2 * len(part.factors)
+    poses = [both.values.atPose3(key) for key in keys]
+    assert poses[0].equals(poses[1], 1e-4)
 
 
 def test_merged_runs_are_one_map(two):

@@ -13,6 +13,7 @@ from incremental_mapper.mapping.result import MapResult
 from incremental_mapper.results.run_statistics import InputFacts
 from incremental_mapper.results.sessions.joining import alone, joined
 from incremental_mapper.results.sessions.saved_run import SavedRun, read_saved_run
+from incremental_mapper.results.sessions.ties import disagreement, find_ties, tie_factors
 
 APART = 'session_apart'
 """The finding of a session that does not know where it is in the map before."""
@@ -70,8 +71,15 @@ class EarlierMap:
         counts = Counter(self.run.counts)
         counts.update(facts.counts)
         notes = (*facts.notes, f'goes on from {self.run.folder}')
+        before = self.run.result
+        ties = find_ties(before, result, config)
+        factors = tie_factors(ties, (0, len(before.clusters)), config.closure)
+        both = joined([before, alone(result, facts.path)], config, factors, ties.searched)
+        if ties.apart:
+            found = disagreement(str(self.run.folder), facts.path, ties.apart)
+            both = replace(both, findings=ranked([*both.findings, found]))
         return Whole(
-            joined([self.run.result, alone(result, facts.path)], config),
+            both,
             replace(facts, counts=counts, notes=notes),
             self.run.wall,
         )

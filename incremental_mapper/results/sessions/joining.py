@@ -1,12 +1,11 @@
 """Several sessions as one map: in one frame, under one count of clusters, solved together.
 
 Sessions whose maps are east-north-up meet in the frame of the first one: every fix ties a session
-to the earth, and so to the others. Whoever has more that relates two sessions (matches between
-their local maps) gives it as ``ties``: they enter the same solve.
+to the earth, and so to the others. What their local maps say besides enters the same solve.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from itertools import accumulate
 from typing import Any
 
@@ -20,38 +19,18 @@ from incremental_mapper.frontend.gnss import Datum
 from incremental_mapper.graph.factors import Factor, FactorKind, gnss_factor
 from incremental_mapper.mapping.final_solve import MOST_ITERATIONS
 from incremental_mapper.mapping.georeferencing import turn_prior, turn_values
+from incremental_mapper.mapping.loop_closing import solve_with_closures
 from incremental_mapper.mapping.result import MapResult, Session, trajectory_of
 from incremental_mapper.mapping.statistics import MapStatistics
-from incremental_mapper.selection.window_record import WindowRecord
+from incremental_mapper.results.sessions.numbering import numbered
 from incremental_mapper.settings import to_tree
 from incremental_mapper.smoothing.batch import make_graph, optimize
-from incremental_mapper.smoothing.graph_state import PlacedCluster, PlacedScan
-from incremental_mapper.variables import (
-    bias_key,
-    cluster_of,
-    copy_value,
-    kind_of,
-    pose_key,
-    velocity_key,
-)
+from incremental_mapper.variables import cluster_of
 
-FIXES = 'fixes'
-"""What relates sessions that know where on the earth they are."""
-KEY = {'x': pose_key, 'v': velocity_key, 'b': bias_key}
+FIXES, CLOSURES = 'fixes', 'closures'
+"""What relates sessions: they know where on the earth they are, or show the same places."""
 ARM = 1000.0
 """Metres from a datum to the places by which another one's axes are told."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Numbered:
-    """A session under the numbers that its clusters and windows have in the joint map."""
-
-    clusters: tuple[PlacedCluster, ...]
-    factors: tuple[Factor, ...]
-    values: gtsam.Values
-    scans: tuple[PlacedScan, ...]
-    rows: tuple[dict[str, Any], ...]
-    failed: tuple[WindowRecord, ...]
 
 
 def between_datums(target: Datum, source: Datum) -> gtsam.Pose3:
@@ -110,57 +89,55 @@ def turned(result: MapResult, T_target_map: gtsam.Pose3, config: Config) -> MapR
 
 @single_threaded_blas()
 def joined(
-    parts: Sequence[MapResult], config: Config, how: str = FIXES, ties: Sequence[Factor] = ()
+    parts: Sequence[MapResult], config: Config, ties: Sequence[Factor] = (), searched: int = 0
 ) -> MapResult:
     """Sessions that lie in one frame as one map, solved together.
 
     Args:
         parts: The sessions, in the order in which they are counted; each may be of several.
         config: All settings, of the newest.
-        how: What relates them.
-        ties: Factors between poses of different sessions, under their numbers in the joint map:
+        ties: Closures between poses of different sessions, under their numbers in the joint map:
             those of a session count on from the clusters of the sessions before it.
+        searched: How many pairs of local maps were compared for them.
 
     Returns:
         The map of all: every cluster, factor and scan of each.
     """
     clusters_before = list(accumulate((len(part.clusters) for part in parts), initial=0))
     windows_before = list(accumulate((len(part.rows) for part in parts), initial=0))
-    numbered = [
-        _numbered(part, clusters, windows)
+    parts_numbered = [
+        numbered(part, clusters, windows)
         for part, clusters, windows in zip(parts, clusters_before, windows_before, strict=False)
     ]
-    clusters = tuple(item for part in numbered for item in part.clusters)
-    factors = (*(item for part in numbered for item in part.factors), *ties)
+    clusters = tuple(item for part in parts_numbered for item in part.clusters)
+    factors = tuple(item for part in parts_numbered for item in part.factors)
     values = gtsam.Values()
-    for part in numbered:
+    for part in parts_numbered:
         values.insert(part.values)
     failed = False
     if config.graph.final_optimization:
-        graph = make_graph(factor.factor for factor in factors)
-        solution = optimize(graph, values, MOST_ITERATIONS)
+        plain = [factor.factor for factor in factors]
+        solution = optimize(make_graph(plain), values, MOST_ITERATIONS)
         values, failed = (values, True) if solution is None else (solution.values, False)
+        closed = solve_with_closures(plain, tuple(ties), values)
+        factors, values, ties = (*factors, *closed.factors), closed.values, closed.factors
+    else:
+        factors = (*factors, *ties)
     positions = [f.data['position'] for f in factors if f.kind is FactorKind.GNSS]
     return MapResult(
         clusters=clusters,
         factors=factors,
         values=values,
         trajectory=trajectory_of(clusters, values),
-        scans=tuple(item for part in numbered for item in part.scans),
+        scans=tuple(item for part in parts_numbered for item in part.scans),
         fixes=np.array(positions, dtype=np.float64).reshape(-1, 3),
-        rows=tuple(item for part in numbered for item in part.rows),
+        rows=tuple(item for part in parts_numbered for item in part.rows),
         statistics=_statistics(
-            [part.statistics for part in parts], to_tree(config), len(ties), failed
+            [part.statistics for part in parts], to_tree(config), (searched, len(ties)), failed
         ),
         findings=ranked(_worst_last(parts)),
-        failed=tuple(item for part in numbered for item in part.failed),
-        sessions=tuple(
-            session
-            if number == place == 0
-            else replace(session, joined_by=session.joined_by or how)
-            for number, part in enumerate(parts)
-            for place, session in enumerate(part.sessions)
-        ),
+        failed=tuple(item for part in parts_numbered for item in part.failed),
+        sessions=_sessions(parts, clusters_before, ties),
     )
 
 
@@ -185,43 +162,26 @@ def _worst_last(parts: Sequence[MapResult]) -> list[Finding]:
     return sorted(found, key=lambda finding: finding.severity is Severity.ERROR)
 
 
-def _sessions(parts: Sequence[MapResult], how: str) -> tuple[Session, ...]:
-    first, *others = (session for part in parts for session in part.sessions)
-    return (first, *(replace(one, joined_by=one.joined_by or how) for one in others))
-
-
-def _numbered(part: MapResult, clusters: int, windows: int) -> _Numbered:
-    if clusters == windows == 0:
-        return _Numbered(
-            part.clusters, part.factors, part.values, part.scans, part.rows, part.failed
-        )
-    values = gtsam.Values()
-    for key in part.values.keys():  # noqa: SIM118 (no mapping)
-        copy_value(part.values, key, values, _moved(key, clusters))
-    return _Numbered(
-        clusters=tuple(
-            replace(item, id=item.id + clusters, window=item.window + windows)
-            for item in part.clusters
-        ),
-        factors=tuple(_renamed(factor, clusters) for factor in part.factors),
-        values=values,
-        scans=tuple(replace(scan, cluster=scan.cluster + clusters) for scan in part.scans),
-        rows=tuple({**row, 'window': row['window'] + windows} for row in part.rows),
-        failed=tuple(replace(record, window=record.window + windows) for record in part.failed),
-    )
-
-
-def _moved(key: int, clusters: int) -> int:
-    return KEY[kind_of(key)](cluster_of(key) + clusters)
-
-
-def _renamed(factor: Factor, clusters: int) -> Factor:
-    keys = tuple(_moved(key, clusters) for key in factor.keys)
-    return replace(factor, keys=keys, factor=factor.factor.rekey(list(keys)))
+def _sessions(
+    parts: Sequence[MapResult], before: Sequence[int], ties: Sequence[Factor]
+) -> tuple[Session, ...]:
+    """The sessions of all, each with what relates it to those before."""
+    tied = {cluster_of(key) for factor in ties for key in factor.keys}
+    told: list[Session] = []
+    for part, low, high in zip(parts, before[:-1], before[1:], strict=True):
+        how = f'{FIXES} and {CLOSURES}' if any(low <= one < high for one in tied) else FIXES
+        told += [
+            replace(one, joined_by=one.joined_by or (how if told or place else ''))
+            for place, one in enumerate(part.sessions)
+        ]
+    return tuple(told)
 
 
 def _statistics(
-    parts: Sequence[MapStatistics], settings: Mapping[str, Any], ties: int, failed: bool
+    parts: Sequence[MapStatistics],
+    settings: Mapping[str, Any],
+    ties: tuple[int, int],
+    failed: bool,
 ) -> MapStatistics:
     """The counts of all, as if they had been counted together."""
     first, newest = parts[0], parts[-1]
@@ -230,7 +190,13 @@ def _statistics(
         for item in fields(MapStatistics)
         if item.name not in ('strategy', 'settings', 'verification', 'datum')
     }
-    total['factors'] += ties
+    searched, accepted = ties
+    if searched:
+        total['factors'] += accepted
+        closures = {'candidates': searched, 'accepted': accepted}
+        total['closures'] = _sum([total['closures'], closures])
+        kinds = _sum([total['factors_by_kind'], {str(FactorKind.CLOSURE): accepted}])
+        total['factors_by_kind'] = dict(sorted(kinds.items()))
     total['solver_failures'] += int(failed)
     # Each hangs on the one before it by what relates them.
     total['components'] -= len(parts) - 1

@@ -1,15 +1,18 @@
 """Finished runs as one map: which can be related, in which frame, and what is written of all."""
 
+import json
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from functools import lru_cache
+from itertools import accumulate, combinations, pairwise
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial import KDTree
 
-from incremental_mapper.checks.finding import Severity
+from incremental_mapper.checks.finding import Finding, Severity, ranked
 from incremental_mapper.checks.fixes import TOO_FAR
 from incremental_mapper.config import Config
 from incremental_mapper.errors import ConfigError, InputError
@@ -23,7 +26,9 @@ from incremental_mapper.results.run_folder import FinishedRun
 from incremental_mapper.results.run_statistics import InputFacts, RunStatistics
 from incremental_mapper.results.sessions.joining import alone, between_datums, joined, turned
 from incremental_mapper.results.sessions.saved_run import SavedRun, read_saved_run
-from incremental_mapper.settings import make_config
+from incremental_mapper.results.sessions.ties import Ties, disagreement, find_ties, tie_factors
+from incremental_mapper.settings import make_config, to_tree
+from incremental_mapper.variables import pose_key
 
 KIND = 'finished runs'
 """What the input of a joint map is called."""
@@ -44,6 +49,21 @@ class Fleet:
     parts: tuple[MapResult, ...]
     datum: Datum
     config: Config
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """Two runs of a fleet that come near each other: all that a worker elsewhere needs.
+
+    ``first`` and ``second`` are their places in the fleet, ``folders`` where they are, ``datum``
+    the origin of the common frame, and ``settings`` those of all, as JSON.
+    """
+
+    first: int
+    second: int
+    folders: tuple[Path, Path]
+    datum: Datum
+    settings: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,16 +109,52 @@ def read_fleet(folders: Sequence[Path]) -> Fleet:
     return Fleet(tuple(runs), tuple(parts), first, config)
 
 
+def pairs_of(fleet: Fleet) -> list[Pair]:
+    """The pairs of runs that may show the same places; none where closures are switched off.
+
+    Args:
+        fleet: The runs.
+    """
+    config = fleet.config
+    if not config.closure.enabled:
+        return []
+    ways = [
+        np.array([part.values.atPose3(pose_key(one.id)).translation() for one in part.clusters])
+        for part in fleet.parts
+    ]
+    trees = [KDTree(way[:, :2]) for way in ways]
+    far = config.closure.radius + config.closure.map_length
+    settings = json.dumps(to_tree(config))
+    return [
+        Pair(i, j, (fleet.runs[i].folder, fleet.runs[j].folder), fleet.datum, settings)
+        for i, j in combinations(range(len(ways)), 2)
+        if trees[i].query(ways[j][:, :2], distance_upper_bound=far)[0].min() <= far
+    ]
+
+
+def search_pair(pair: Pair) -> Ties:
+    """Find the places that two runs show; any process that sees their folders may do it.
+
+    Args:
+        pair: The runs.
+
+    Raises:
+        InputError: One cannot be read.
+    """
+    first, second = (_read_again(folder, pair.datum, pair.settings) for folder in pair.folders)
+    return find_ties(first, second, make_config(json.loads(pair.settings)))
+
+
 def merge(
     fleet: Fleet,
-    ties: Sequence[Factor] = (),
+    found: Mapping[Pair, Ties] | None = None,
     stage: Callable[[str], object] = lambda _: None,
 ) -> Merged:
     """The joint map of runs: one graph, one solve, one cloud.
 
     Args:
         fleet: The runs.
-        ties: Factors between their poses, see ``joining.joined``.
+        found: What pairs of them show.
         stage: Called with what comes next.
 
     Returns:
@@ -106,9 +162,18 @@ def merge(
     """
     started = time.perf_counter()
     stage('solve')
-    result = joined(fleet.parts, fleet.config, ties=ties)
-    # Those are the files of their folders.
-    result = replace(result, failed=())
+    before = [0, *accumulate(len(part.clusters) for part in fleet.parts)]
+    ties: list[Factor] = []
+    findings: list[Finding] = []
+    pairs = sorted((found or {}).items(), key=lambda item: (item[0].first, item[0].second))
+    for pair, one in pairs:
+        ties += tie_factors(one, (before[pair.first], before[pair.second]), fleet.config.closure)
+        if one.apart:
+            findings.append(disagreement(str(pair.folders[0]), str(pair.folders[1]), one.apart))
+    searched = sum(one.searched for _, one in pairs)
+    result = joined(fleet.parts, fleet.config, ties, searched)
+    # Windows that failed are in the folders of their runs.
+    result = replace(result, failed=(), findings=ranked([*result.findings, *findings]))
     stage('map')
     cloud = result.cloud(fleet.config.map)
     counts: Counter[str] = Counter()
@@ -120,6 +185,13 @@ def merge(
     facts = InputFacts(', '.join(str(run.folder) for run in fleet.runs), KIND, counts, tuple(notes))
     wall = time.perf_counter() - started
     return Merged(result, cloud, RunStatistics.of_run(result, Drops(), wall, len(cloud), facts))
+
+
+@lru_cache(maxsize=4)
+def _read_again(folder: Path, datum: Datum, settings: str) -> MapResult:
+    config = make_config(json.loads(settings))
+    run = read_saved_run(folder, make_store(config.map))
+    return turned(run.result, between_datums(datum, _datum(run)), config)
 
 
 def _datum(run: SavedRun) -> Datum:
