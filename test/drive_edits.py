@@ -1,5 +1,7 @@
 """Changes to the files of a KAIST folder, and what is left of it; the files of a run."""
 
+import shutil
+
 import numpy as np
 
 from incremental_mapper.datasets.truth import read_truth
@@ -16,6 +18,7 @@ FILES = {
     'files.json',
 }
 STATE, LATITUDE, LONGITUDE = 6, 1, 2
+LATER = 60 * NANOSECONDS
 
 
 def scans(folder, side='left'):
@@ -66,3 +69,17 @@ def cut_drive(folder, seconds, every=1):
             path.unlink()
         else:
             np.fromfile(path, dtype='<f4').reshape(-1, 4)[::every].tofile(path)
+
+
+def driven_later(folder, out):
+    """The same drive again, a minute later."""
+    shutil.copytree(folder, out)
+    for name in ('xsens_imu', 'vrs_gps', 'VLP_left_stamp', 'VLP_right_stamp'):
+        path = table(out, name)
+        rows = [line.split(',') for line in path.read_text().splitlines()]
+        path.write_text(''.join(f'{",".join([str(int(s) + LATER), *r])}\n' for s, *r in rows))
+    for side in ('left', 'right'):
+        for path in scans(out, side):
+            path.rename(path.with_name(f'{int(path.stem) + LATER}.bin'))
+    (out / 'global_pose.csv').unlink()
+    return out

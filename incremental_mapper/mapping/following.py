@@ -7,7 +7,7 @@ from incremental_mapper.mapping.live_map import LiveMap
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.mapping.newest_state import NewestState
 from incremental_mapper.mapping.odometry_frame import OdometryFrame, OdometryPose
-from incremental_mapper.mapping.result import WindowResult
+from incremental_mapper.mapping.result import MapResult, WindowResult
 from incremental_mapper.smoothing.graph_state import PlacedScan
 
 
@@ -22,8 +22,9 @@ class PoseUpdate:
 class Follower:
     """Follows a mapper; every window is to be told of once, in their order."""
 
-    def __init__(self, mapper: Mapper) -> None:
-        self.live = LiveMap(mapper)
+    def __init__(self, mapper: Mapper, earlier: MapResult | None = None) -> None:
+        """Begin; ``earlier`` is the map before, see ``LiveMap``."""
+        self.live = LiveMap(mapper, earlier)
         self._mapper = mapper
         self._odometry = OdometryFrame(mapper.config.odometry)
         self._scans = 0

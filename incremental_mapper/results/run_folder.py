@@ -383,11 +383,13 @@ def _write_g2o(path: Path, result: MapResult) -> None:
         poses.insert(placed.id, result.values.atPose3(pose_key(placed.id)))
     for factor in result.factors:
         if isinstance(factor.factor, gtsam.BetweenFactorPose3):
-            keys = [cluster_of(key) for key in factor.keys]
+            first, second = (cluster_of(key) for key in factor.keys)
             noise = factor.factor.noiseModel()
             if isinstance(noise, gtsam.noiseModel.Robust):  # g2o knows none, and GTSAM raises
                 noise = noise.noise()
-            graph.push_back(gtsam.BetweenFactorPose3(*keys, factor.factor.measured(), noise))
+            graph.push_back(
+                gtsam.BetweenFactorPose3(first, second, factor.factor.measured(), noise)
+            )
     gtsam.writeG2o(graph, poses, str(path))
     # GTSAM says nothing where the disk is full: a line for each pose and factor must be there.
     with path.open('rb') as file:

@@ -71,7 +71,7 @@ class MapSession:
         except BaseException:
             self.discard()
             raise
-        self._follower = Follower(self._mapper)
+        self._follower = Follower(self._mapper, None if earlier is None else earlier.run.result)
         self._live = self._follower.live
         self._started: float | None = None
         # Looked for, not imported: the process that saves needs it, not this one.

@@ -8,14 +8,14 @@ from dataclasses import replace
 import gtsam
 import numpy as np
 import pytest
-from drive_edits import scans, table
+from drive_edits import LATER, driven_later
 
 from incremental_mapper.cli.main import main
 from incremental_mapper.errors import ConfigError, InputError
 from incremental_mapper.frontend.gnss import Datum
 from incremental_mapper.graph.factors import FactorKind, closure_factor
 from incremental_mapper.map.store import MemoryStore
-from incremental_mapper.measurements import NANOSECONDS, GnssFix
+from incremental_mapper.measurements import GnssFix
 from incremental_mapper.results.graph_json import compare_graphs, graph_tree
 from incremental_mapper.results.manifest import Manifest
 from incremental_mapper.results.run_folder import FinishedRun
@@ -29,22 +29,7 @@ from incremental_mapper.settings import make_config
 from incremental_mapper.variables import pose_key
 
 QUICK = 'selection: {strategy: min_time_shift}\nodometry: {processes: false}\n'
-LATER = 60 * NANOSECONDS
 SEOUL = Datum(37.5, 127.0, 30.0)
-
-
-def driven_later(folder, out):
-    """The same drive again, a minute later."""
-    shutil.copytree(folder, out)
-    for name in ('xsens_imu', 'vrs_gps', 'VLP_left_stamp', 'VLP_right_stamp'):
-        path = table(out, name)
-        rows = [line.split(',') for line in path.read_text().splitlines()]
-        path.write_text(''.join(f'{",".join([str(int(s) + LATER), *r])}\n' for s, *r in rows))
-    for side in ('left', 'right'):
-        for path in scans(out, side):
-            path.rename(path.with_name(f'{int(path.stem) + LATER}.bin'))
-    (out / 'global_pose.csv').unlink()
-    return out
 
 
 @pytest.fixture(scope='module')

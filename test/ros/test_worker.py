@@ -9,11 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from drive_edits import driven_later
 
 pytest.importorskip('rclpy', reason='rclpy is not installed (extra "ros")')
 
 from incremental_mapper.checks.finding import Finding, Severity
 from incremental_mapper.datasets.open import open_source
+from incremental_mapper.errors import InputError
 from incremental_mapper.mapping.following import PoseUpdate
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.mapping.watch import Watch
@@ -487,3 +489,32 @@ def test_nothing_mapped_at_the_end_is_a_failed_save(start, tmp_path):
     run.stop()
     assert run.worker.saves.failed == 1
     assert 'the map is empty' in troubles(run)
+
+
+def test_a_session_goes_on_from_a_saved_map(light_drive, tmp_path):
+    first = Run(light_drive, {'save': {'folder': str(tmp_path / 'first'), 'pictures': False}})
+    first.feed(first.measurements)
+    first.order(Order.FLUSH)
+    assert first.order(Order.SAVE)[0]
+    first.stop()
+    later = driven_later(light_drive, tmp_path / 'later')
+    going_on = {'continue': str(tmp_path / 'first')}
+    saving = {'folder': str(tmp_path / 'both'), 'pictures': False}
+    second = Run(later, {'session': going_on, 'save': saving})
+    second.feed(second.measurements)
+    second.order(Order.FLUSH)
+    updates = second.of(WindowUpdate)
+    rules = [[finding.rule for finding in update.findings] for update in updates]
+    assert 'session_apart' in rules[0] and updates[0].stats['session'] == 'apart'
+    assert 'session_apart' not in rules[-1] and updates[-1].stats['session'] == 'joined'
+    assert second.order(Order.SAVE)[0]
+    second.stop()
+    one, both = FinishedRun(tmp_path / 'first'), FinishedRun(tmp_path / 'both')
+    assert both.stats['components'] == 1 and len(both.stats['sessions']) == 2
+    assert both.stats['datum'] == one.stats['datum']
+    assert len(both.trajectory) == both.stats['clusters'] > 1.5 * one.stats['clusters']
+
+
+def test_a_worker_refuses_to_go_on_from_what_is_no_map(light_drive, tmp_path):
+    with pytest.raises(InputError, match='is no output of'):
+        Run(light_drive, {'session': {'continue': str(tmp_path)}})
