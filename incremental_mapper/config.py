@@ -302,7 +302,7 @@ class ClosureSettings(Section):
     radius: float = Field(default=25.0, ge=0.0, le=10_000.0)
     """Local maps whose poses are so many metres apart or less are compared. Further ones are where
     the extra ``closures`` is installed and they look alike from above."""
-    candidates: int = Field(default=3, ge=1, le=1000)
+    candidates: int = Field(default=2, ge=1, le=1000)
     """Earlier local maps that one is compared with, each by place and by looks."""
     min_overlap: float = Field(default=0.6, ge=0.0, le=1.0)
     """A smaller share of what stands on the ground, seen by both, makes no closure."""

@@ -14,6 +14,8 @@ from incremental_mapper.config import ClosureSettings
 
 LIBRARY = 'map_closures'
 INSTALL = 'pip install "incremental_mapper[closures]"'
+SPACING = 4
+"""The library skips local maps whose numbers differ by 3 or less; here ``min_travel`` decides."""
 FEWEST_POINTS = 200
 """A local map with fewer points has nothing to be recognised by."""
 
@@ -96,11 +98,11 @@ def by_looks(maps: Sequence[LocalMap], settings: ClosureSettings) -> list[Candid
     for second, own in enumerate(maps):
         if len(own.points) < FEWEST_POINTS:
             continue
-        alike = detector.get_closures(second, own.points.astype(np.float64))
+        alike = detector.get_closures(SPACING * second, own.points.astype(np.float64))
         alike = sorted(alike, key=lambda one: (-one.number_of_inliers, one.source_id))
         taken = 0
         for one in alike:
-            first = int(one.source_id)
+            first = int(one.source_id) // SPACING
             if taken == settings.candidates or first >= second:
                 break
             # The pose that the library tells moves the earlier local map onto the later one.

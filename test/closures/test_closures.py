@@ -5,8 +5,15 @@ from dataclasses import replace
 import gtsam
 import numpy as np
 import pytest
+from town import pose, seen_points, town, wall
 
-from incremental_mapper.closures.candidate_pairs import Candidate, Known, by_place, comparable
+from incremental_mapper.closures.candidate_pairs import (
+    Candidate,
+    Known,
+    by_looks,
+    by_place,
+    comparable,
+)
 from incremental_mapper.closures.consistency import consistent_set
 from incremental_mapper.closures.local_maps import LocalMap
 from incremental_mapper.closures.search import find_closures
@@ -18,40 +25,10 @@ TIGHT = np.diag(np.square([0.01] * 3 + [0.3] * 3))
 LOOSE = np.diag(np.square([0.3] * 3 + [30.0] * 3))
 
 
-def pose(x, y, degrees=0.0):
-    return gtsam.Pose3(gtsam.Rot3.Yaw(np.radians(degrees)), np.array([x, y, 0.0]))
-
-
-def wall(rng, start, end, height):
-    along = rng.uniform(0.0, 1.0, (int(60 * np.hypot(*np.subtract(end, start))), 1))
-    points = np.array(start) + along * np.subtract(end, start)
-    return np.column_stack([points, rng.uniform(0.0, height, len(points))])
-
-
-def town(seed):
-    """Ground and houses of all sizes within 60 m, points (N, 3)."""
-    rng = np.random.default_rng(seed)
-    ground = np.column_stack([rng.uniform(-60.0, 60.0, (40_000, 2)), np.zeros(40_000)])
-    parts = [ground]
-    for side in (-1.0, 1.0):
-        x = -60.0
-        while x < 55.0:
-            wide, back, tall = rng.uniform(4.0, 14.0), rng.uniform(8.0, 13.0), rng.uniform(4.0, 9.0)
-            front = side * back
-            parts.append(wall(rng, (x, front), (x + wide, front), tall))
-            parts.append(wall(rng, (x, front), (x, front + side * 8.0), tall))
-            x += wide + rng.uniform(0.0, 5.0)
-    return np.vstack(parts)
-
-
 def seen(points, true, number, believed=None, travelled=0.0, run=0):
     """A local map of what lies within 40 m, by another set of the points each time."""
-    rng = np.random.default_rng(number)
-    own = true.transformTo(points.T).T
-    own = own[(np.linalg.norm(own, axis=1) < 40.0) & (rng.uniform(size=len(own)) < 0.4)]
-    own = own + rng.normal(scale=0.02, size=own.shape)
     believed = true if believed is None else believed
-    return LocalMap(number, number, believed, travelled, own.astype(np.float32), run)
+    return LocalMap(number, number, believed, travelled, seen_points(points, true, number), run)
 
 
 TOWN = town(1)
@@ -156,3 +133,24 @@ def test_closures_of_two_drives_are_found_as_those_of_one():
         assert (maps[one.first].run, maps[one.second].run) == (0, 1)
         true = places[one.first][0].between(places[one.second - 2][1])
         assert np.abs(gtsam.Pose3.Logmap(true.between(one.T_first_second))).max() < 0.05
+
+
+def test_places_are_recognised_wherever_they_are_thought_to_lie():
+    pytest.importorskip('map_closures', reason='the extra closures is not installed')
+    rng = np.random.default_rng(5)
+    parts = [np.column_stack([rng.uniform(-50.0, 50.0, (20_000, 2)), np.zeros(20_000)])]
+    for x, y, turn, long in rng.uniform(
+        (-45.0, -45.0, 0.0, 3.0), (45.0, 45.0, 3.0, 15.0), (150, 4)
+    ):
+        along = 0.5 * long * np.array([np.cos(turn), np.sin(turn)])
+        parts.append(wall(rng, (x, y) - along, (x, y) + along, 6.0))
+    points = np.vstack(parts)
+    moved = pose(4.0, 6.0, 90.0)
+    lost = [
+        LocalMap(0, 0, pose(0.0, 0.0), 0.0, points),
+        LocalMap(1, 1, pose(300.0, -80.0), 500.0, moved.transformTo(points.T).T),
+    ]
+    assert by_place(lost, SETTINGS) == []
+    (found,) = by_looks(lost, SETTINGS)
+    off = gtsam.Pose3.Logmap(moved.between(found.T_first_second))
+    assert np.abs(off[3:5]).max() < 2.0 and abs(off[2]) < 0.05
