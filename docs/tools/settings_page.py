@@ -70,6 +70,7 @@ TUNING = Path(__file__).resolve().parents[1] / 'tuning.md'
 NO_UNIT = (
     'odometry.min_overlap',
     'odometry.covariance_scale',
+    'closure.min_overlap',
     'mom.eigenvalue_ratio',
     'selection.tie_confidence',
     'selection.time_budget',
