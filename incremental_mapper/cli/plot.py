@@ -10,6 +10,7 @@ from incremental_mapper.errors import ConfigError
 from incremental_mapper.results.run_folder import FinishedRun
 from incremental_mapper.visualization.figure import THEMES, WHOLE, check_suffix
 from incremental_mapper.visualization.graph_picture import draw_graph
+from incremental_mapper.visualization.graph_view import closure_ends
 from incremental_mapper.visualization.pictures import WIDE, draw_map, draw_map_side, draw_trajectory
 
 TIME = 'seconds since the first cluster, or a stamp (seconds from 1e8, nanoseconds from 1e15 on)'
@@ -93,7 +94,8 @@ def _plot_trajectory(args: argparse.Namespace) -> int:
     file = args.truth or next((path for path in beside if path.is_file()), None)
     truth = None if file is None else read_truth(file)
     look = replace(WHOLE, theme=THEMES[args.theme])
-    draw_trajectory(out, run.trajectory, truth, run.fixes, look, run.georeferenced)
+    closures = closure_ends(run.graph)
+    draw_trajectory(out, run.trajectory, truth, run.fixes, look, run.georeferenced, closures)
     return _told(out)
 
 

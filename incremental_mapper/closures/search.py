@@ -50,11 +50,13 @@ def find_closures(
         candidates += by_looks(maps, settings)
     verifier = Verifier(maps, settings, odometry)
     refused: Counter[str] = Counter()
+    tried = 0
     best: dict[tuple[int, int], Closure] = {}
     for candidate in sorted(candidates, key=lambda one: (one.second, one.first)):
         pair = candidate.first, candidate.second
         if pair in best:
             continue
+        tried += 1
         known = relative(maps[candidate.first], maps[candidate.second])
         outcome = verifier.verify(candidate, known)
         if isinstance(outcome, str):
@@ -64,4 +66,4 @@ def find_closures(
     held, contradicted, alone = consistent_set(list(best.values()), maps)
     refused['contradicted'] += len(contradicted)
     refused['alone'] += len(alone)
-    return Found(tuple(held), len(candidates), +refused)
+    return Found(tuple(held), tried, +refused)

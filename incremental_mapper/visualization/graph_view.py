@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import isotonic_regression
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
@@ -73,6 +74,17 @@ def unconnected_variables(graph: Record) -> set[str]:
     part = connected_components(links, directed=False)[1]
     largest = int(np.bincount(part).argmax())
     return {key for key, own in zip(keys, part, strict=True) if own != largest}
+
+
+def closure_ends(graph: Record) -> NDArray[np.float64]:
+    """Positions (K, 2, 3) of the pairs of poses that closures hold together, metres in the map."""
+    places = {item['key']: item['value'][:3] for item in graph['variables']}
+    ends = [
+        [places[key] for key in factor['variables']]
+        for factor in graph['factors']
+        if factor['kind'] == 'closure'
+    ]
+    return np.array(ends, dtype=np.float64).reshape(-1, 2, 3)
 
 
 def spread_clusters(clusters: Sequence[Record], origin: int, gap: float) -> dict[int, float]:

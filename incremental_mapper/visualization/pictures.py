@@ -53,6 +53,7 @@ NO_BAR, BAR = (128, 76), (256, 142)
 """Pixels beside the axes, with a heading and without; and where a bar of colours stands there."""
 HEADED, UNHEADED = 166, 84
 """Pixels above and below the axes, with a heading and without."""
+NO_CLOSURES: NDArray[np.float64] = np.zeros((0, 2, 3))
 
 
 def draw_trajectory(
@@ -62,6 +63,7 @@ def draw_trajectory(
     fixes: NDArray[np.float64],
     look: Look = WHOLE,
     georeferenced: bool = False,
+    closures: NDArray[np.float64] = NO_CLOSURES,
 ) -> None:
     """Draw the trajectory from above, over the truth and the GNSS positions that were used.
 
@@ -73,11 +75,12 @@ def draw_trajectory(
         fixes: Antenna positions (K, 3) in metres, in the map frame of the estimate.
         look: Colours and width; the height follows what is shown.
         georeferenced: Whether x is east and y north.
+        closures: Positions (K, 2, 3) of the poses that saw the same place, metres in the map.
 
     Raises:
         OutputError: matplotlib is missing, or the file cannot be written.
     """
-    save(trajectory_figure(estimate, truth, fixes, look, georeferenced), path)
+    save(trajectory_figure(estimate, truth, fixes, look, georeferenced, closures), path)
 
 
 def draw_map(
@@ -119,6 +122,7 @@ def trajectory_figure(
     fixes: NDArray[np.float64],
     look: Look,
     georeferenced: bool = False,
+    closures: NDArray[np.float64] = NO_CLOSURES,
 ) -> 'Figure':
     """The figure that ``draw_trajectory`` saves."""
     reference = np.zeros((0, 3)) if truth is None else _aligned_truth(estimate, truth)
@@ -133,6 +137,10 @@ def trajectory_figure(
             fixes[:, 0], fixes[:, 1], s=50, marker='x', color=theme.vermillion, linewidths=1.8,
             zorder=5, label=f'GNSS positions used ({len(fixes)})',
         )  # fmt: skip
+    for number, (first, second) in enumerate(closures):
+        label = '' if number else f'loops closed ({len(closures)})'
+        ends = [first[0], second[0]], [first[1], second[1]]
+        axes.plot(*ends, color=theme.purple, linewidth=1.8, zorder=3, label=label)
     label = f'estimate ({len(estimate)} poses)'
     _draw_path(axes, estimate.positions, look, theme.blue, label, halo=0.0)
     _fill(axes, shown, SMALLEST_PATH)

@@ -10,7 +10,11 @@ from numpy.typing import NDArray
 from incremental_mapper.trajectory import Trajectory
 from incremental_mapper.visualization.extras import importable
 from incremental_mapper.visualization.graph_picture import draw_graph
-from incremental_mapper.visualization.graph_view import GRAPH_SECONDS, typical_stretch
+from incremental_mapper.visualization.graph_view import (
+    GRAPH_SECONDS,
+    closure_ends,
+    typical_stretch,
+)
 from incremental_mapper.visualization.pictures import draw_map, draw_trajectory
 
 
@@ -40,6 +44,13 @@ def draw_run(
     if not importable('pictures'):
         return
     place = georeferenced
-    draw_trajectory(folder / 'trajectory.png', trajectory, truth, fixes, georeferenced=place)
+    draw_trajectory(
+        folder / 'trajectory.png',
+        trajectory,
+        truth,
+        fixes,
+        georeferenced=place,
+        closures=closure_ends(graph),
+    )
     draw_map(folder / 'map.png', points, trajectory, georeferenced=place)
     draw_graph(folder / 'graph.png', graph, *typical_stretch(graph, GRAPH_SECONDS))

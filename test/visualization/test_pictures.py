@@ -20,7 +20,7 @@ from incremental_mapper.visualization.figure import (
     svg_for_page,
 )
 from incremental_mapper.visualization.graph_picture import draw_graph, graph_figure
-from incremental_mapper.visualization.graph_view import unconnected_variables
+from incremental_mapper.visualization.graph_view import closure_ends, unconnected_variables
 from incremental_mapper.visualization.pictures import (
     WIDE,
     draw_map,
@@ -47,6 +47,26 @@ def drive(count: int = 50) -> Trajectory:
         np.c_[x, 3.0 * np.sin(x / 10.0), np.zeros(count)],
         np.tile([0.0, 0.0, 0.0, 1.0], (count, 1)),
     )
+
+
+def test_loops_that_are_closed_are_drawn_between_their_poses():
+    graph = two_chains()
+    keys = [item['key'] for item in graph['variables'] if item['kind'] == 'pose']
+    for place, item in enumerate(graph['variables']):
+        item['value'] = [float(place), 0.5 * place, 0.0, 0.0, 0.0, 0.0, 1.0]
+    graph['factors'].append(
+        {'kind': 'closure', 'variables': [keys[0], keys[-1]], 'sensor': None, 'stamps_ns': [0, 1]}
+    )
+    ends = closure_ends(graph)
+    assert ends.shape == (1, 2, 3) and ends[0, 0].tolist() == [0.0, 0.0, 0.0]
+    figure = trajectory_figure(drive(), None, NO_FIXES, Look(), closures=ends)
+    (line,) = [one for one in figure.axes[0].lines if one.get_label() == 'loops closed (1)']
+    assert line.get_xydata().tolist() == ends[0, :, :2].tolist()
+    # In the picture of a stretch of the graph its other end lies outside.
+    start = min(item['stamp_ns'] for item in graph['clusters'])
+    part, _ = graph_figure(graph, start, start + NANOSECONDS // 2, Look(), start)
+    assert part.axes[0].get_xlim() == pytest.approx((0.0, 0.5))
+    assert 'closure' in [text.get_text() for text in part.legends[0].get_texts()]
 
 
 def street(count: int = 5000) -> np.ndarray:

@@ -18,7 +18,7 @@ from incremental_mapper.trajectory import Trajectory
 from incremental_mapper.visualization.figure import PAGE, Look, css_colour, svg_for_page
 from incremental_mapper.visualization.graph_legend import graph_legend
 from incremental_mapper.visualization.graph_picture import graph_figure
-from incremental_mapper.visualization.graph_view import unconnected_variables
+from incremental_mapper.visualization.graph_view import closure_ends, unconnected_variables
 from incremental_mapper.visualization.pictures import map_figure, side_figure, trajectory_figure
 
 FEWEST_POINTS = 3
@@ -99,7 +99,14 @@ def drive_pictures(
     against = 'over the truth (grey)' if truth is not None else 'without truth to compare with'
     yield Picture(
         svg_for_page(
-            trajectory_figure(run.trajectory, truth, run.fixes, TALL, run.georeferenced),
+            trajectory_figure(
+                run.trajectory,
+                truth,
+                run.fixes,
+                TALL,
+                run.georeferenced,
+                closure_ends(run.graph),
+            ),
             f'path{number}',
             f'Trajectory of {name} from above, {against}',
         ),
