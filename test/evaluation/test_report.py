@@ -2,10 +2,13 @@
 
 import io
 import json
+import os
 import re
 import shutil
+import sys
 from collections import Counter
 from html.parser import HTMLParser
+from pathlib import Path
 
 import pytest
 
@@ -262,10 +265,20 @@ def browser():
     """A headless Chromium."""
     sync = pytest.importorskip('playwright.sync_api', reason='playwright is not installed')
     path = next(filter(None, map(shutil.which, BROWSERS)), None)
+    surroundings = dict(os.environ)
+    own = Path(sys.prefix) / 'browser'
+    if path is None and (own / 'chromium').is_file():
+        path = str(own / 'chromium')
+        surroundings |= {
+            'LD_LIBRARY_PATH': str(own / 'lib'),
+            'FONTCONFIG_FILE': str(own / 'fonts.conf'),
+        }
     if path is None:
-        pytest.skip('no Chromium is installed (Debian: apt-get install chromium)')
+        pytest.skip('no Chromium: apt-get install chromium, or .ci/browser .venv/browser')
     with sync.sync_playwright() as player:
-        running = player.chromium.launch(executable_path=path, args=['--no-sandbox'])
+        running = player.chromium.launch(
+            executable_path=path, args=['--no-sandbox'], env=surroundings
+        )
         yield running
         running.close()
 
