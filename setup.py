@@ -15,6 +15,7 @@ SIMULATION = ['embreex>=2.17.7.post4']
 REPORT = ['jinja2>=3.1', 'matplotlib>=3.8', 'pyarrow>=14']
 FORMATS = ['gpxpy>=1.6', 'laspy[lazrs]>=2.5', 'pyproj>=3.6']
 VIEW = ['rerun-sdk>=0.24']
+EVALIO = ['evalio>=0.6']
 CLUSTER = ['distributed>=2024.1']
 CLOSURES = ['map-closures>=2.0']
 # GTSAM's wheel needs pytest 9, and Jazzy's launch_testing plugin does not load on 9.1 or later.
@@ -87,6 +88,7 @@ setup(
         'report': REPORT,
         'formats': FORMATS,
         'view': VIEW,
+        'evalio': EVALIO,
         'cluster': CLUSTER,
         'closures': CLOSURES,
         'test': TESTS,
