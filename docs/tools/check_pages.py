@@ -36,7 +36,7 @@ from incremental_mapper.selection.strategies import GROUP, labelled, strategy_na
 from incremental_mapper.settings import make_config, read_yaml
 
 SERVICES = ('flush', 'save_map', 'reset', 'pause')
-OTHERS = ('cd', 'colcon', 'dask', 'export', 'git', 'ls', 'source', 'touch')
+OTHERS = ('evalio', 'cd', 'colcon', 'dask', 'export', 'git', 'ls', 'source', 'touch')
 """Programs whose arguments are not ours to check."""
 GENERATED = (
     'api/',
