@@ -48,6 +48,10 @@ FASTEST = 400.0
 SPIKE = 20.0
 """Nor are samples that are so many times further off those around them than 99 of 100 are off the
 middle of all: one of them would outweigh all turns of a drive."""
+STRONGEST = 40.0
+"""Nor are samples that are further off those around them than ``imu.max_rate`` or
+``imu.max_acceleration`` (or so many times the usual acceleration, where the unit is another),
+however many of them there are: where each tenth sample is absurd, 99 of 100 are far off."""
 AROUND = 5
 """Samples of which the median says what is usual around the middle one."""
 OFF: Tree = {'imu': {'enabled': False}}
@@ -197,13 +201,20 @@ class ImuWatch:
         # The median: the one that came in the middle may be a stray itself.
         sensible &= np.abs(stamps - stamps[order[len(order) // 2]]) < NEAR
         keep = order[sensible[order]]
-        keep = keep[~_spikes(rows[keep])]
+        keep = keep[~_spikes(rows[keep], self._most(rows[keep, 3:]))]
         settings = self._settings
         return (
             stamps[keep],
             settings.rate_scale * rows[keep, :3],
             settings.acceleration_scale * rows[keep, 3:],
         )
+
+    def _most(self, force: NDArray[np.float64]) -> NDArray[np.float64]:
+        """How far (6,) a sample may be off those around it, in the unit of the messages."""
+        settings = self._settings
+        usual = float(np.median(np.linalg.norm(force, axis=1))) if len(force) else 0.0
+        strong = max(settings.max_acceleration / abs(settings.acceleration_scale), STRONGEST * usual)
+        return np.array([settings.max_rate / abs(settings.rate_scale)] * 3 + [strong] * 3)
 
 
 def _without(evidence: MotionEvidence, contradicted: NDArray[np.int64]) -> MotionEvidence | None:
@@ -228,18 +239,19 @@ def _without(evidence: MotionEvidence, contradicted: NDArray[np.int64]) -> Motio
     )
 
 
-def _spikes(rows: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which rows (K, C) are far off those around them, whatever their unit."""
+def _spikes(rows: NDArray[np.float64], most: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which rows (K, C) are far off those around them, by their own measure or by ``most`` (C,)."""
     if len(rows) < AROUND:
         return np.zeros(len(rows), dtype=bool)
     with np.errstate(over='ignore', invalid='ignore'):
         usual = np.quantile(np.abs(rows - np.median(rows, axis=0)), 0.99, axis=0)
+        far = np.minimum(SPIKE * usual, most)
         # Who is so far off the median of five is as far off one of the two beside it; mostly none
         # is, and the filter takes ten times as long as all else here.
-        if not (np.abs(np.diff(rows, axis=0)) > SPIKE * usual).any():
+        if not (np.abs(np.diff(rows, axis=0)) > far).any():
             return np.zeros(len(rows), dtype=bool)
         off = np.abs(rows - median_filter(rows, size=(AROUND, 1), mode='nearest'))
-    spikes: NDArray[np.bool_] = (off > SPIKE * usual).any(axis=1)
+    spikes: NDArray[np.bool_] = (off > far).any(axis=1)
     return spikes
 
 

@@ -18,6 +18,7 @@ from incremental_mapper.measurements import ImuSample
 from incremental_mapper.settings import make_config
 
 NOWHERE = np.zeros((1, 3))
+NO_LIMIT = np.full(6, np.inf)
 
 
 def imu(seconds=10.0, rate=1.0, force=1.0):
@@ -158,12 +159,26 @@ def test_one_absurd_sample_is_no_evidence_against_the_imu():
     rng = np.random.default_rng(2)
     rows = np.hstack([rng.normal(0.0, 0.3, (700, 3)), rng.normal(0.0, 1.0, (700, 3))])
     rows[300, 2], rows[400, 3] = 1000.0, 1e5
-    assert np.flatnonzero(_spikes(rows)).tolist() == [300, 400]
+    assert np.flatnonzero(_spikes(rows, NO_LIMIT)).tolist() == [300, 400]
     # The same in other units, and a turn that is a fifth of the drive.
-    assert np.flatnonzero(_spikes(57.3 * rows)).tolist() == [300, 400]
+    assert np.flatnonzero(_spikes(57.3 * rows, NO_LIMIT)).tolist() == [300, 400]
     turn = np.zeros((700, 6))
     turn[100:240, 2] = 0.5
-    assert not _spikes(turn).any()
+    assert not _spikes(turn, NO_LIMIT).any()
+
+
+@pytest.mark.parametrize('field', ['gyro', 'acceleration'])
+def test_many_absurd_samples_are_no_evidence_against_the_imu(field):
+    """Where a tenth of them is absurd, a share of the samples is no measure of what is usual."""
+    rng = np.random.default_rng(4)
+    stream = imu()
+    hit = rng.random(len(stream)) < 0.1
+    size = 300.0 if field == 'gyro' else 1e5
+    absurd = [
+        replace(item, **{field: size * rng.choice([-1.0, 1.0], 3)}) if bad else item
+        for item, bad in zip(stream, hit, strict=True)
+    ]
+    assert watched(absurd) == watched(stream) == []
 
 
 def two_lidars(late, config=None, seconds=20.0):
