@@ -213,7 +213,9 @@ class ImuWatch:
         """How far (6,) a sample may be off those around it, in the unit of the messages."""
         settings = self._settings
         usual = float(np.median(np.linalg.norm(force, axis=1))) if len(force) else 0.0
-        strong = max(settings.max_acceleration / abs(settings.acceleration_scale), STRONGEST * usual)
+        strong = max(
+            settings.max_acceleration / abs(settings.acceleration_scale), STRONGEST * usual
+        )
         return np.array([settings.max_rate / abs(settings.rate_scale)] * 3 + [strong] * 3)
 
 

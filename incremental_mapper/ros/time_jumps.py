@@ -17,6 +17,7 @@ all sensors' time
 from collections import Counter, deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import pairwise, takewhile
 from statistics import median_low
 
 from incremental_mapper.checks.finding import Finding, Severity
@@ -27,6 +28,12 @@ from incremental_mapper.measurements import NANOSECONDS, Drops, Measurement
 
 WITNESSES = 5
 """So many messages beyond a jump prove it, where all sensors that are alive have one of them."""
+SLOWER = 3.0
+"""What goes on beyond a jump does so at steps of its sensor's usual ones, up to so many times as
+long; stray stamps, however many, do not."""
+WITNESSES_ANEW = 15
+"""Without that so many prove it, at steps of their own that are alike: drivers that came back after
+a pause at another rate."""
 OWN_AGREEMENT, AGREEMENT = 60 * NANOSECONDS, 10 * NANOSECONDS
 """Messages that are held for one jump are no further apart than this, of one sensor and of two;
 stray stamps are anywhere."""
@@ -98,6 +105,19 @@ class _Sensor:
         if step is None:
             return LONGEST_PATIENCE
         return min(max(round(_PERIODS * step), SHORTEST_PATIENCE), LONGEST_PATIENCE)
+
+    def went_on_beyond(self, step: int | None) -> int:
+        """How many messages of those held go on at steps like ``step`` (ns) up to the newest."""
+        if step is None:
+            return 0
+        steps = [after.stamp - before.stamp for before, after in pairwise(self.held)]
+        gone = sum(1 for _ in takewhile(lambda one: 0 < one <= SLOWER * step, reversed(steps)))
+        return gone + 1 if gone else 0
+
+    def held_step(self) -> int | None:
+        """Usual step (ns) of what is held."""
+        steps = [after.stamp - before.stamp for before, after in pairwise(self.held)]
+        return median_low(steps) if steps else None
 
 
 class JumpFilter:
@@ -213,7 +233,7 @@ class JumpFilter:
             self._drop(name, sensor, len(held))
             held.clear()
         held.append(_Held(measurement, self._order))
-        while len(held) > WITNESSES and stamp - held[0].stamp > HOLD:
+        while len(held) > WITNESSES_ANEW and stamp - held[0].stamp > HOLD:
             self._drop(name, sensor, 1)
             del held[0]
         group = self._shared(name, sensor)
@@ -244,8 +264,10 @@ class JumpFilter:
         if self._clock_jumped and not forwards:
             return group
         stamps = [held.stamp for item in group.values() for held in item.held]
+        usual = sum(item.went_on_beyond(item.step) for item in group.values())
+        anew = sum(item.went_on_beyond(item.held_step()) for item in group.values())
         far = abs(last - sensor.newest) > _LONGEST_PAUSE
-        enough = len(stamps) >= WITNESSES and len(sensor.held) > 1
+        enough = (usual >= WITNESSES or anew >= WITNESSES_ANEW) and len(sensor.held) > 1
         if far and max(stamps) - min(stamps) < FAR_PROOF:
             return None
         return group if enough else None

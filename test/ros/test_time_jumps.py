@@ -308,3 +308,28 @@ def test_stamps_of_a_clock_that_was_never_set_end_no_drive_whatever_their_number
     passed, begun = feed(jumps, [*sound, *stray])
     assert passed == sound and not begun
     assert balanced(jumps, [*sound, *stray], passed)
+
+
+@pytest.mark.parametrize('seed', range(20))
+def test_dozens_of_strays_between_two_messages_are_no_jump(seed):
+    """They are near enough to agree by chance, and far more of them than sound ones."""
+    rng = np.random.default_rng(seed)
+    newest, sent = {}, []
+    for number, item in enumerate(drive(5)):
+        sent.append(item)
+        newest[item.sensor] = item.stamp
+        for name in rng.choice(list(newest), 30 if number > 200 else 0):
+            leap = np.exp(rng.uniform(np.log(1.5), np.log(3600.0))) * rng.choice([-1, 1])
+            sent.append(made(str(name), newest[str(name)] + round(leap * SECOND)))
+    jumps = JumpFilter(TimeJumpSettings())
+    passed, begun = feed(jumps, sent)
+    assert not begun
+    assert balanced(jumps, sent, passed)
+
+
+def test_a_pause_after_which_sensors_come_ten_times_as_seldom_loses_nothing():
+    sound = drive(8)
+    slow = [item for item in drive(60, START + HOUR) if round(item.stamp / 1e7) % 100 < 2]
+    jumps = JumpFilter(TimeJumpSettings())
+    passed, begun = feed(jumps, [*sound, *slow])
+    assert not begun and len(passed) > len(sound) + 0.9 * len(slow)
