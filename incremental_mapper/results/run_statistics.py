@@ -173,7 +173,8 @@ def sensor_uses(result: MapResult, dropped: DropCounts, before: Drops) -> list[S
     joined = (core for placed in result.clusters for core in placed.joined)
     scans.update(core.sensor for core in joined if core.kind is CoreKind.LIDAR)
     offered = Counter(statistics.received or {})
-    offered.update({sensor: count for (sensor, _), count in before.items()})
+    for (sensor, _), count in before.items():
+        offered[sensor] += count
     spans, fixes = (
         (statistics.factors_by_kind or {}).get(str(kind), 0)
         for kind in (FactorKind.IMU, FactorKind.GNSS)

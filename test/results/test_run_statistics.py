@@ -101,3 +101,12 @@ def test_scans_of_a_vehicle_that_stands_are_used(result):
     assert [(item.name, item.offered, item.used) for item in uses if item.kind == 'lidar'] == [
         ('left', 100, 89)
     ]
+
+
+def test_all_that_was_lost_before_the_mapper_was_offered(result):
+    """Whatever the reasons: 'lost 5 of 3' is nonsense."""
+    named = {'lidars': {'names': ['left']}}
+    counted = replace(result.statistics, received={'left': 100}, settings=named)
+    before = Counter({('left', 'late'): 2, ('left', 'undecodable'): 3})
+    uses = sensor_uses(replace(result, statistics=counted), {}, before)
+    assert next(item.offered for item in uses if item.name == 'left') == 105
