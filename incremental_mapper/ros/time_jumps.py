@@ -85,6 +85,7 @@ class _Sensor:
     went_on: int = 0  # messages with which it did
     lags: deque[int] = field(default_factory=_usual)  # how far it is behind the others
     steps: deque[int] = field(default_factory=_usual)
+    apart: deque[int] = field(default_factory=_usual)  # the same of all that came of it
     held: list[_Held] = field(default_factory=list)
     away: int = 0  # messages since it last agreed
     away_since: dict[str, int] = field(default_factory=dict)  # how far others had gone on by then
@@ -154,6 +155,8 @@ class JumpFilter:
                 return self._go_on(sensor, measurement, others)
             # Nobody knows what is usual for it: where it goes back to is as good.
             sensor.newest = others
+        if others is not None:
+            sensor.apart.append(others - stamp)
         if self._agrees(sensor, stamp, others):
             return self._go_on(sensor, measurement, others)
         return self._hold(sensor, measurement)
@@ -196,8 +199,12 @@ class JumpFilter:
             return True
         if abs(others - stamp - sensor.lag) <= slack:
             return True
-        # One stamp alone, or two, do not tell what is usual.
-        return sensor.went_on < 3 and abs(others - stamp) <= self._threshold
+        if abs(others - stamp) > self._threshold:
+            return False
+        # One stamp alone, or two, do not tell what is usual; nor did strays at the beginning,
+        # where most of what comes now stands beside the others.
+        settled = len(sensor.apart) == _USUAL and abs(median_low(sensor.apart)) <= self._threshold
+        return sensor.went_on < 3 or settled
 
     def _slack(self) -> int:
         """Nanoseconds by which stamps may go on at once, or differ from what is usual."""

@@ -333,3 +333,20 @@ def test_a_pause_after_which_sensors_come_ten_times_as_seldom_loses_nothing():
     jumps = JumpFilter(TimeJumpSettings())
     passed, begun = feed(jumps, [*sound, *slow])
     assert not begun and len(passed) > len(sound) + 0.9 * len(slow)
+
+
+@pytest.mark.parametrize('leap', [60, 3600])
+def test_a_sensor_whose_first_stamps_were_strays_is_not_left_out_for_ever(leap):
+    """With strays among its own that are too many for five sound ones in a row."""
+    sent = []
+    for number, item in enumerate(drive(8)):
+        if item.sensor != 'imu' or number > 20:
+            sent.append(item)
+        if item.sensor == 'imu' and (number <= 20 or number % 3 == 0):
+            sent.append(made('imu', item.stamp + leap * SECOND))
+    jumps = JumpFilter(TimeJumpSettings())
+    passed, _ = feed(jumps, sent)
+    late = [item for item in sent if START + 2 * SECOND < item.stamp < START + 9 * SECOND]
+    lost = {id(item) for item in late} - {id(item) for item in passed}
+    assert len(lost) < 0.05 * len(late)
+    assert balanced(jumps, sent, passed)
