@@ -1,7 +1,7 @@
 """The folder of a run: the files that are in it, writing them, and reading them back.
 
 ``trajectory.tum``, ``map.ply``, ``map_scans.ply``, ``graph.g2o``, ``graph.json`` (see
-``graph_json``), ``windows.csv``, ``stats.json`` (see ``run_statistics``), ``session.graph`` (see
+``graph_json``), ``windows.csv``, ``stats.json`` (see ``run_statistics``), ``session.bin`` (see
 ``session_file``) and ``files.json`` (see ``manifest``), by which one knows whether the others are
 whole, are always there; pictures and
 ``candidates.parquet`` (see ``candidate_table``) where their libraries are installed, and

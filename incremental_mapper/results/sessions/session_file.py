@@ -1,4 +1,4 @@
-"""``session.graph``: the whole graph of a run, from which another session can go on.
+"""``session.bin``: the whole graph of a run, from which another session can go on.
 
 ``graph.json`` is for readers: it has no covariance of an IMU span. This file has the factors and
 the values as GTSAM writes them itself, in parts, so that a long drive takes no more memory than
@@ -29,7 +29,7 @@ from incremental_mapper.results.plain_graph import (
 )
 from incremental_mapper.smoothing.graph_state import PlacedCluster
 
-FILE = 'session.graph'
+FILE = 'session.bin'
 FORMAT = 1
 TITLE = b'incremental_mapper session '
 SIZE = struct.Struct('<Q')
@@ -48,7 +48,7 @@ class SavedScan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SavedGraph:
-    """What ``session.graph`` holds; the scans are in the order of ``map_scans.ply``."""
+    """What ``session.bin`` holds; the scans are in the order of ``map_scans.ply``."""
 
     clusters: tuple[PlacedCluster, ...]
     factors: tuple[Factor, ...]

@@ -14,9 +14,10 @@ from scipy.spatial import KDTree
 
 from incremental_mapper.checks.finding import Finding, Severity
 from incremental_mapper.closures.candidate_pairs import Known, Relative
-from incremental_mapper.closures.local_maps import LocalMap, cut_local_maps
+from incremental_mapper.closures.local_maps import LocalMap
 from incremental_mapper.closures.search import Found, find_closures
-from incremental_mapper.config import ClosureSettings, Config
+from incremental_mapper.closures.verification import Closure
+from incremental_mapper.config import ClosureSettings, Config, MapSettings
 from incremental_mapper.geometry import transform_points
 from incremental_mapper.graph.factors import Factor, closure_factor
 from incremental_mapper.mapping.result import MapResult
@@ -26,8 +27,9 @@ from incremental_mapper.variables import pose_key
 from incremental_mapper.voxels import thin
 
 FINER = 0.5
-"""Local maps of sessions are shorter by so much than those of loops: where one session begins as
-another ends, they share little way, and a closure must be confirmed by another one."""
+"""Local maps of sessions are smaller by so much than those of loops: where one session begins as
+another ends, they share little way, and far ahead of it hardly any points; and a closure must be
+confirmed by another one."""
 DISAGREE = 3
 """So many closures that agree with each other, and not with the fixes, prove the fixes wrong."""
 
@@ -77,12 +79,20 @@ def find_ties(first: MapResult, second: MapResult, config: Config) -> Ties:
     settings = config.closure
     if not settings.enabled:
         return Ties()
-    finer = settings.model_copy(update={'map_length': FINER * settings.map_length})
-    maps = [*_near(first, second, finer, 0), *_near(second, first, finer, 1)]
+    finer = settings.model_copy(
+        update={
+            'map_length': FINER * settings.map_length,
+            'max_range': FINER * settings.max_range,
+        }
+    )
+    maps = [
+        *_near(first, second, finer, config.map, 0),
+        *_near(second, first, finer, config.map, 1),
+    ]
     if len({one.run for one in maps}) < 2:
         return Ties()
-    count = len(first.clusters)
-    both = [numbered(first, 0, 0), numbered(second, count, 0)]
+    before = len(first.clusters)
+    both = [numbered(first, 0, 0), numbered(second, before, 0)]
     values = gtsam.Values(both[0].values)
     values.insert(both[1].values)
     factors = [factor.factor for part in both for factor in part.factors]
@@ -92,20 +102,23 @@ def find_ties(first: MapResult, second: MapResult, config: Config) -> Ties:
         return Ties()  # without knowing what is known, no closure can be held against it
 
     def known(one: LocalMap, other: LocalMap) -> Known:
-        keys = [pose_key(item.cluster + count * item.run) for item in (one, other)]
+        keys = [pose_key(item.cluster + before * item.run) for item in (one, other)]
         covariance = covariances.relative(keys[0], keys[1])
         return Known(one.T_map_base.between(other.T_map_base), covariance)
 
     found = _between(maps, known, finer, config)
+    # Local maps that overlap have the same points, and so the same errors: all of them together
+    # say as much as one.
+    shared = _shared(maps, found.closures, finer.max_range)
     ties = tuple(
         Tie(
             maps[one.first].cluster,
             maps[one.second].cluster,
             one.T_first_second.matrix(),
-            one.covariance,
+            one.covariance * count,
             (maps[one.first].stamp, maps[one.second].stamp),
         )
-        for one in found.closures
+        for one, count in zip(found.closures, shared, strict=True)
     )
     apart = 0.0
     if found.refused['improbable'] > len(ties):
@@ -171,42 +184,41 @@ def _apart(maps: Sequence[LocalMap], settings: ClosureSettings, config: Config) 
     return float(np.median(np.linalg.norm(moved, axis=1)))
 
 
-def _near(own: MapResult, other: MapResult, settings: ClosureSettings, run: int) -> list[LocalMap]:
-    """The local maps of a session that come near another one's way."""
-    ways = [
+def _near(
+    own: MapResult, other: MapResult, settings: ClosureSettings, thinning: MapSettings, run: int
+) -> list[LocalMap]:
+    """Local maps of a session where it comes near another one's way.
+
+    Of a saved session the scans are gone, so both are cut from maps: what its map shows around it.
+    """
+    way, others = (
         np.array([part.values.atPose3(pose_key(one.id)).translation() for one in part.clusters])
         for part in (own, other)
-    ]
-    if any(scan.thinned for scan in own.scans):
-        maps = _of_saved(own, ways[0], settings, run)
-    else:
-        maps = cut_local_maps(own.clusters, own.scans, own.values, settings, run)
-    tree = KDTree(ways[1][:, :2])
-    far = settings.radius + settings.map_length
-    return [one for one in maps if tree.query(one.T_map_base.translation()[:2])[0] <= far]
-
-
-def _of_saved(
-    part: MapResult, way: NDArray[np.float64], settings: ClosureSettings, run: int
-) -> list[LocalMap]:
-    """Local maps of a session whose scans are gone: what its map shows around its way."""
-    clouds = []
-    for scan in part.scans:
-        pose = part.values.atPose3(pose_key(scan.cluster)).compose(scan.T_cluster_scan)
-        clouds.append(transform_points(pose.matrix(), scan.points.astype(np.float64)))
-    points = thin(np.vstack(clouds), settings.voxel_size)
-    if not len(points):
-        return []
-    tree = KDTree(points[:, :2])
+    )
     steps = np.linalg.norm(np.diff(way, axis=0), axis=1)
     travelled = np.append(0.0, np.cumsum(steps))
+    centres = np.arange(0.5 * settings.map_length, travelled[-1], settings.map_length)
+    all_middles = sorted({int(np.abs(travelled - centre).argmin()) for centre in centres})
+    far = settings.radius + settings.map_length
+    apart = KDTree(others[:, :2]).query(way[:, :2], distance_upper_bound=far)[0]
+    middles = [middle for middle in all_middles if apart[middle] <= far]
+    if not middles:
+        return []
+    cloud = own.cloud(thinning, []).points[:, :3].astype(np.float64)
+    points = thin(cloud, settings.voxel_size)
+    tree = KDTree(points[:, :2])
     made: list[LocalMap] = []
-    for centre in np.arange(0.5 * settings.map_length, travelled[-1], settings.map_length):
-        middle = int(np.abs(travelled - centre).argmin())
-        placed = part.clusters[middle]
-        pose = part.values.atPose3(pose_key(placed.id))
+    for middle in middles:
+        placed = own.clusters[middle]
+        pose = own.values.atPose3(pose_key(placed.id))
         around = tree.query_ball_point(way[middle][:2], settings.max_range)
-        own = transform_points(pose.inverse().matrix(), points[around])
-        stamp, far = placed.cluster.stamp, float(travelled[middle])
-        made.append(LocalMap(placed.id, stamp, pose, far, own.astype(np.float32), run))
+        seen = transform_points(pose.inverse().matrix(), points[around]).astype(np.float32)
+        stamp = placed.cluster.stamp
+        made.append(LocalMap(placed.id, stamp, pose, float(travelled[middle]), seen, run))
     return made
+
+
+def _shared(maps: Sequence[LocalMap], found: Sequence[Closure], reach: float) -> list[int]:
+    """How many closures each one shares its points with, itself among them."""
+    ways = np.array([maps[one.first].travelled for one in found])
+    return [int((np.abs(ways - way) <= reach).sum()) for way in ways]
