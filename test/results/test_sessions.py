@@ -80,7 +80,7 @@ def test_two_sessions_are_one_map(two):
     stats = both.stats
     assert stats['components'] == 1 and stats['georeferenced']
     assert stats['datum'] == first.stats['datum']
-    assert [one['joined_by'] for one in stats['sessions']] == ['', 'fixes']
+    assert [one['joined_by'] for one in stats['sessions']] == ['', 'fixes and closures']
     assert sum(one['clusters'] for one in stats['sessions']) == stats['clusters']
     assert stats['clusters'] > 1.5 * first.stats['clusters']
     assert stats['received']['left'] == 2 * first.stats['received']['left']
@@ -112,7 +112,7 @@ def test_sessions_keep_their_history(two):
     _, both = two
     run = read_saved_run(both, MemoryStore())
     assert len(run.result.sessions) == 2
-    assert run.result.sessions[1].joined_by == 'fixes'
+    assert run.result.sessions[1].joined_by == 'fixes and closures'
 
 
 def test_a_damaged_folder_is_refused(copy):
@@ -248,7 +248,7 @@ def test_merged_runs_are_one_map(two):
     one, other = FinishedRun(first).stats, FinishedRun(both).stats
     assert done.result.statistics.components == 1
     assert done.result.statistics.clusters == one['clusters'] + other['clusters']
-    assert [session.joined_by for session in done.result.sessions] == ['', 'fixes', 'fixes']
+    assert [session.joined_by for session in done.result.sessions] == ['', 'fixes', 'fixes and closures']
     assert any('overlap in time' in note for note in done.statistics.input.notes)
 
 

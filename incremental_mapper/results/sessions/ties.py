@@ -26,10 +26,15 @@ from incremental_mapper.smoothing.relative_covariance import RelativeCovariances
 from incremental_mapper.variables import pose_key
 from incremental_mapper.voxels import thin
 
-FINER = 0.5
-"""Local maps of sessions are smaller by so much than those of loops: where one session begins as
-another ends, they share little way, and far ahead of it hardly any points; and a closure must be
-confirmed by another one."""
+SHORTER, NEARER = 0.25, 0.5
+"""Local maps of sessions are so much smaller than those of loops, in way and range: where one
+session begins as another ends, they share little way and hardly any points far ahead, and yet a
+closure must be confirmed by another one."""
+LESS_OVERLAP = 0.8
+"""There, what both show is less; the fixes confirm it besides."""
+CANDIDATES = 2
+"""Local maps of the other session that one is compared with, at most: they lie four times as dense
+as those of loops."""
 DISAGREE = 3
 """So many closures that agree with each other, and not with the fixes, prove the fixes wrong."""
 
@@ -81,8 +86,10 @@ def find_ties(first: MapResult, second: MapResult, config: Config) -> Ties:
         return Ties()
     finer = settings.model_copy(
         update={
-            'map_length': FINER * settings.map_length,
-            'max_range': FINER * settings.max_range,
+            'map_length': SHORTER * settings.map_length,
+            'max_range': NEARER * settings.max_range,
+            'min_overlap': LESS_OVERLAP * settings.min_overlap,
+            'candidates': min(CANDIDATES, settings.candidates),
         }
     )
     maps = [
