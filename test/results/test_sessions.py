@@ -248,7 +248,11 @@ def test_merged_runs_are_one_map(two):
     one, other = FinishedRun(first).stats, FinishedRun(both).stats
     assert done.result.statistics.components == 1
     assert done.result.statistics.clusters == one['clusters'] + other['clusters']
-    assert [session.joined_by for session in done.result.sessions] == ['', 'fixes', 'fixes and closures']
+    assert [session.joined_by for session in done.result.sessions] == [
+        '',
+        'fixes',
+        'fixes and closures',
+    ]
     assert any('overlap in time' in note for note in done.statistics.input.notes)
 
 
