@@ -1,6 +1,6 @@
 """The factors of a window's candidates; what candidates share is built once."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import gtsam
@@ -37,6 +37,7 @@ from incremental_mapper.graph.factors import (
 )
 from incremental_mapper.graph.frontier import Frontier, chain_start
 from incremental_mapper.graph.motion_compensation import MotionCompensation
+from incremental_mapper.graph.passed_clusters import MotionSigmas, passed_factor
 from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.variables import bias_key, pose_key, velocity_key
 
@@ -69,6 +70,7 @@ class WindowInputs:
         scan_offsets: T_cluster_scan of each LiDAR's last scan in G(t-1), by sensor and stamp.
         enu_offset: Where ENU's origin lies in the map, (3,) metres; the axes are the same.
         fix_inflation: Extra standard deviations of fixes, horizontal and vertical, by stamp.
+        known: How well the motion of ``head_state`` is known.
         config: All settings.
     """
 
@@ -81,6 +83,7 @@ class WindowInputs:
     scan_offsets: Mapping[tuple[str, int], gtsam.Pose3]
     enu_offset: NDArray[np.float64]
     fix_inflation: Mapping[int, tuple[float, float]]
+    known: MotionSigmas
     config: Config
 
 
@@ -114,9 +117,9 @@ class FactorBuilder:
             since: Index of the first cluster whose factors are wanted; 0 gives all of them.
 
         Returns:
-            Odometry and fixes of the clusters' members, then IMU factors of the connections, then
-            what holds velocity and bias where a chain of spans starts, and in the first window
-            the prior.
+            Odometry and fixes of the clusters' members, then IMU factors of the connections and
+            the clusters that they pass over, then what holds velocity and bias where a chain of
+            spans starts, and in the first window the prior.
         """
         partition = self._partitions.of(candidate)
         made: list[Factor] = []
@@ -127,6 +130,7 @@ class FactorBuilder:
         links = [link for link in candidate.connections if link.end >= since]
         for link in links:
             made.extend(self._imu(candidate, link.start, link.end))
+            made.extend(self._passed(candidate, link))
         made.extend(self._chain_starts(candidate, links))
         if self._in.frontier.newest is None and since == 0:
             first = candidate.clusters[0]
@@ -301,6 +305,28 @@ class FactorBuilder:
                 imu_factor(first, last, span, 'imu', (first_stamp, last_stamp), stamps),
             )
         return self._cache[key]
+
+    def _passed(self, candidate: Candidate, link: Connection) -> Iterator[Factor]:
+        """Hold the clusters that a connection passes over."""
+        if not self._in.config.graph.dead_reckoning:
+            return
+        start, stamp = self._ends(candidate, link.start)
+        for cluster in candidate.clusters[link.start + 1 : link.end]:
+            own = self._partitions.number(cluster)
+            key = ('passed', start, own, link.end_stamp)
+            if key not in self._cache:
+                self._cache[key] = (
+                    passed_factor(
+                        (start, own),
+                        self._compensation.dead_reckon(stamp),
+                        self._compensation.dead_reckon(cluster.stamp),
+                        link.end_stamp,
+                        self._in.known,
+                        self._in.config.preintegration,
+                        UNSEEN,
+                    ),
+                )
+            yield from self._cache[key]
 
     def _chain_starts(self, candidate: Candidate, links: Sequence[Connection]) -> Sequence[Factor]:
         """What holds velocity and bias where one of ``links`` does not go on from an older one."""

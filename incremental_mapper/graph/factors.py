@@ -29,6 +29,7 @@ class FactorKind(StrEnum):
     BIAS_RANDOM_WALK = 'continuity_bias'
     BRIDGE = 'bridge'
     CLOSURE = 'closure'
+    DEAD_RECKONING = 'dead_reckoning'
 
 
 BETWEEN_STATES = frozenset({FactorKind.CONSTANT_VELOCITY, FactorKind.BIAS_RANDOM_WALK})
@@ -109,7 +110,7 @@ def between_factor(
     sensor: str | None,
     stamps: tuple[int, int],
 ) -> Factor:
-    """Relative pose of two clusters: odometry of one LiDAR, or a bridge over missing data.
+    """Relative pose of two clusters: odometry, dead reckoning, or a bridge over missing data.
 
     ``covariance`` (6, 6) is that of ``T_first_second`` in the frame of the second, rotation first.
     """
@@ -383,6 +384,7 @@ def describer(kind: FactorKind, beside: Mapping[str, Any]) -> Describe:
     return {
         FactorKind.ODOMETRY: _describe_between,
         FactorKind.BRIDGE: _describe_between,
+        FactorKind.DEAD_RECKONING: _describe_between,
         FactorKind.PRIOR_POSE: _describe_pose_prior,
         FactorKind.PRIOR_VELOCITY: _describe_velocity_prior,
         FactorKind.PRIOR_BIAS: _describe_bias_prior,

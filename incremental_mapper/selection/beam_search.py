@@ -243,6 +243,10 @@ class _Search:
                 own = number(candidate.clusters[node])
             needed.add(pose_key(own))
             inertial.add(own)
+            if self._problem.config.graph.dead_reckoning:
+                # The span that will pass over these says where they are.
+                passed = candidate.clusters[node + 1 :]
+                needed |= {pose_key(number(cluster)) for cluster in passed}
         for cluster in inertial:
             needed |= {velocity_key(cluster), bias_key(cluster)}
         return needed

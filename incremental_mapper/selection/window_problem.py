@@ -19,10 +19,12 @@ from incremental_mapper.graph.connectivity import Partitions
 from incremental_mapper.graph.factor_builder import FactorBuilder, WindowInputs
 from incremental_mapper.graph.initial_guess import InitialGuess
 from incremental_mapper.graph.motion_compensation import MotionCompensation
+from incremental_mapper.graph.passed_clusters import MotionSigmas
 from incremental_mapper.measurements import NANOSECONDS, NO_VERTICAL_SIGMA
 from incremental_mapper.selection.local_map import LocalMapBuilder
 from incremental_mapper.smoothing.graph_state import GraphState
 from incremental_mapper.smoothing.marginal_prior import MarginalPrior, trimmed
+from incremental_mapper.variables import bias_key, velocity_key
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,8 +185,22 @@ def window_inputs(
         scan_offsets=state.scan_offsets,
         enu_offset=_enu_offset(items, state, states, config),
         fix_inflation=fix_spread(state, items),
+        known=_motion_sigmas(state, config),
         config=config,
     )
+
+
+def _motion_sigmas(state: GraphState, config: Config) -> MotionSigmas:
+    """How well velocity and bias are known where the window starts."""
+    head, graph = state.frontier.head, config.graph
+    known = None
+    if head is not None and state.frontier.head_inertial:
+        known = state.prior.covariance(velocity_key(head), bias_key(head))
+    if known is None:
+        return MotionSigmas(graph.prior_sigma_velocity, graph.prior_sigma_gyroscope_bias)
+    # The bias has the accelerometer's three first.
+    worst = [np.linalg.norm(block, ord=2) for block in (known[:3, :3], known[6:, 6:])]
+    return MotionSigmas(*(float(np.sqrt(variance)) for variance in worst))
 
 
 def _head_state(state: GraphState) -> State:

@@ -27,7 +27,8 @@ def graph_legend(graphs: Sequence[Record], theme: Theme) -> list[tuple[str, str,
     factors += [('IMU', theme.orange)] if 'imu' in kinds else []
     factors += [('GNSS', theme.green)] if 'gnss' in kinds else []
     factors += [('prior', theme.ink)] if any(kind.startswith('prior') for kind in kinds) else []
-    factors += [('bridge', theme.grey)] if 'bridge' in kinds else []
+    loose = [name for name in ('bridge', 'dead_reckoning') if name in kinds]
+    factors += [(name.replace('_', ' '), theme.grey) for name in loose]
     factors += [('closure', theme.unconnected_edge)] if 'closure' in kinds else []
     nodes = [('variable', 'node', theme.node, theme.ink)]
     if any(unconnected_variables(graph) for graph in graphs):

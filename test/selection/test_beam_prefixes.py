@@ -41,10 +41,15 @@ def sparse(stamps, moments):
 
 
 @settings(deadline=None, max_examples=20)
-@given(windows(4), st.none() | st.sets(st.integers(-2, 31), max_size=12), st.booleans())
-def test_no_connected_candidate_is_missed_by_a_beam_that_drops_nothing(stamps, moments, first):
+@given(
+    windows(4), st.none() | st.sets(st.integers(-2, 31), max_size=12), st.booleans(), st.booleans()
+)
+def test_no_connected_candidate_is_missed_by_a_beam_that_drops_nothing(
+    stamps, moments, first, reckoned
+):
     state = GraphState() if first else known_state()
-    config = car_settings(graph={'motion_compensation': False}, preintegration={'max_gap': 0.12})
+    graph = {'motion_compensation': False, 'dead_reckoning': reckoned}
+    config = car_settings(graph=graph, preintegration={'max_gap': 0.12})
     series = None if moments is None else sparse(stamps, moments)
     problem = problem_of(stamps, state, config, series)
     found = searched(problem)
