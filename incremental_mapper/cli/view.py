@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import signal
 import sys
 from pathlib import Path
 from typing import Any
@@ -66,6 +67,8 @@ def _node(args: argparse.Namespace) -> int:
             f'view --node needs rclpy, which cannot be imported ({error}); '
             'pip install "incremental_mapper[ros]", or source a ROS 2 installation'
         ) from error
+    # A file is whole only once it is closed.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     windows = show_node(args.node, args.save, int(os.environ.get('ROS_DOMAIN_ID') or 0))
     print(f'{windows} windows shown' + (f', in {args.save}' if args.save else ''))
     return 0

@@ -140,31 +140,7 @@ class LiveMap:
 
     def graph(self, span: float) -> GraphView:
         """Poses and factors of the newest ``span`` seconds."""
-        state = self._mapper.state
-        newest = state.frontier.newest_stamp
-        oldest = newest - round(span * NANOSECONDS)
-        first = len(state.clusters)
-        while first > 0 and state.clusters[first - 1].cluster.stamp >= oldest:
-            first -= 1
-        shown = state.clusters[first:]
-        place = {item.id: state.pose(item.id).translation() for item in shown}
-        edges: dict[str, list[NDArray[np.float64]]] = {}
-        priors: list[NDArray[np.float64]] = []
-        for factor, ends in _recent_factors(state, first):
-            points = [place[end] for end in ends if end in place]
-            if factor.kind is FactorKind.GNSS:
-                points.append(np.array(factor.data['position']))
-            if len(points) == 2:
-                edges.setdefault(str(factor.kind), []).append(np.stack(points))
-            elif factor.kind is FactorKind.PRIOR_POSE:
-                priors += points
-        return GraphView(
-            stamp=newest,
-            poses=_table(list(place.values())),
-            merged=_table([place[item.id] for item in shown if len(item.cluster.members) > 1]),
-            edges={kind: np.stack(pairs) for kind, pairs in edges.items()},
-            priors=_table(priors),
-        )
+        return graph_view(self._mapper.state, span)
 
     @property
     def _config(self) -> Config:
@@ -208,6 +184,42 @@ class LiveMap:
         pose = self._mapper.state.pose(scan.cluster).compose(scan.T_cluster_scan)
         matrix: NDArray[np.float64] = pose.matrix()
         return matrix
+
+
+def graph_view(state: GraphState, span: float) -> GraphView:
+    """The newest part of a graph.
+
+    Args:
+        state: G(t).
+        span: Seconds of it.
+
+    Returns:
+        Its poses and factors.
+    """
+    newest = state.frontier.newest_stamp
+    oldest = newest - round(span * NANOSECONDS)
+    first = len(state.clusters)
+    while first > 0 and state.clusters[first - 1].cluster.stamp >= oldest:
+        first -= 1
+    shown = state.clusters[first:]
+    place = {item.id: state.pose(item.id).translation() for item in shown}
+    edges: dict[str, list[NDArray[np.float64]]] = {}
+    priors: list[NDArray[np.float64]] = []
+    for factor, ends in _recent_factors(state, first):
+        points = [place[end] for end in ends if end in place]
+        if factor.kind is FactorKind.GNSS:
+            points.append(np.array(factor.data['position']))
+        if len(points) == 2:
+            edges.setdefault(str(factor.kind), []).append(np.stack(points))
+        elif factor.kind is FactorKind.PRIOR_POSE:
+            priors += points
+    return GraphView(
+        stamp=newest,
+        poses=_table(list(place.values())),
+        merged=_table([place[item.id] for item in shown if len(item.cluster.members) > 1]),
+        edges={kind: np.stack(pairs) for kind, pairs in edges.items()},
+        priors=_table(priors),
+    )
 
 
 def _recent_factors(state: GraphState, first: int) -> Iterable[tuple[Factor, list[int]]]:

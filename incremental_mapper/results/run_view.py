@@ -13,7 +13,7 @@ from incremental_mapper.errors import InputError
 from incremental_mapper.geometry import transform_points
 from incremental_mapper.graph.factors import Factor, FactorKind
 from incremental_mapper.map.ply import MapCloud
-from incremental_mapper.mapping.live_map import LiveMap
+from incremental_mapper.mapping.live_map import graph_view
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.mapping.result import MapResult, WindowResult
 from incremental_mapper.measurements import NANOSECONDS
@@ -24,10 +24,12 @@ from incremental_mapper.smoothing.graph_state import GraphState, PlacedScan
 from incremental_mapper.trajectory import Trajectory
 from incremental_mapper.visualization.rerun_scene import RerunScene, ShownCandidate
 
-POINTS_OF_A_SCAN = 2000
+POINTS_OF_A_SCAN = 1200
 """So many points of a scan are shown at most while it is mapped."""
 POINTS_OF_A_WINDOW = 8000
 """So many points of a window of a finished run."""
+MOST_POSES = 1000
+"""So many poses of the way are shown while a run is mapped."""
 PERIOD = round(0.5 * NANOSECONDS)
 """Time of the drive between two graphs and ways that are shown."""
 NUMBERS = ('solver_error', 'candidates_solved')
@@ -40,7 +42,6 @@ class RunView:
     def __init__(self, scene: RerunScene) -> None:
         self.trouble = ''
         self._scene = scene
-        self._live: LiveMap | None = None
         self._scans = self._factors = 0
         self._turned = False
         self._last = 0
@@ -49,8 +50,6 @@ class RunView:
     def window(self, mapper: Mapper, result: WindowResult) -> None:
         """Show a window; see ``RunWatcher``."""
         state, scene = mapper.state, self._scene
-        if self._live is None:
-            self._live = LiveMap(mapper)
         if not state.clusters:
             return
         newest = state.clusters[-1]
@@ -68,9 +67,9 @@ class RunView:
             self._factors += len(fixes)
         if stamp - self._last >= PERIOD:
             self._last = stamp
-            view = self._live.graph(mapper.config.graph.markers_span)
+            view = graph_view(state, mapper.config.graph.markers_span)
             scene.graph(view.poses, view.merged, view.edges, view.priors)
-            scene.path(np.array(self._live.path().poses)[:, :3])
+            scene.path(_way(state))
 
     def finish(self, result: MapResult, cloud: MapCloud) -> None:
         """Show the way after the final optimisation; see ``RunWatcher``."""
@@ -85,10 +84,13 @@ class RunView:
         self._first_pose = pose
 
     def _show_points(self, state: GraphState, height: float, max_range: float) -> None:
+        placed = []
         for scan in state.scans[self._scans :]:
             points = _thinned(scan, POINTS_OF_A_SCAN, max_range)
             pose = state.pose(scan.cluster).compose(scan.T_cluster_scan).matrix()
-            self._scene.points(transform_points(pose, points.astype(np.float64)), height)
+            placed.append(transform_points(pose, points.astype(np.float64)))
+        if placed:
+            self._scene.points(np.concatenate(placed), height)
         self._scans = len(state.scans)
 
     def _show_fixes(self, factors: Sequence[Factor]) -> None:
@@ -260,6 +262,13 @@ def _shown(tried: Tried, result: WindowResult) -> ShownCandidate:
         candidate == result.winner,
         tried.tied,
     )
+
+
+def _way(state: GraphState) -> NDArray[np.float64]:
+    """The way so far (N, 3), thinned to ``MOST_POSES``; the newest pose is its end."""
+    clusters = state.clusters
+    shown = clusters[::-1][:: -(-len(clusters) // MOST_POSES)][::-1]
+    return np.array([state.pose(item.id).translation() for item in shown])
 
 
 def _thinned(scan: PlacedScan, most: int, max_range: float) -> NDArray[np.float32]:
