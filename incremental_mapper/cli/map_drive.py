@@ -94,6 +94,8 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the command; raises MapperError where input, settings or output cannot be used."""
     started = time.perf_counter()
+    if args.out_dir is None and args.earlier is None and args.config is None:
+        args.wrong_usage('the following arguments are required: OUT_DIR')
     from incremental_mapper.checks.finding import Severity
     from incremental_mapper.cli.findings_text import print_findings
     from incremental_mapper.cli.progress import Progress

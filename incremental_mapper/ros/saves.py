@@ -16,6 +16,7 @@ from incremental_mapper.ros.saving import (
     Snapshot,
     Target,
     save_map,
+    windows_before,
     write_candidates,
 )
 from incremental_mapper.ros.updates import Reply, Trouble, Update
@@ -137,6 +138,6 @@ def _job(snapshot: Snapshot, target: Target, pictures: bool, quiet: bool = True)
     spool = snapshot.spool
 
     def more(folder: Path) -> str | None:
-        return None if spool is None else write_candidates(folder, spool)
+        return None if spool is None else write_candidates(folder, spool, windows_before(folder))
 
     return Job(lambda: save_map(target, snapshot), more, pictures, quiet)

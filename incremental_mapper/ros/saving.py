@@ -17,7 +17,13 @@ from incremental_mapper.results.candidate_spool import CandidateSpool
 from incremental_mapper.results.candidate_table import FILE_NAME, candidate_recorder
 from incremental_mapper.results.journal.journal_writer import Journal
 from incremental_mapper.results.new_folder import free_name, hidden_folder, sync_folder
-from incremental_mapper.results.run_folder import GRAPH, TRAJECTORY, FinishedRun, write_result
+from incremental_mapper.results.run_folder import (
+    GRAPH,
+    STATISTICS,
+    TRAJECTORY,
+    FinishedRun,
+    write_result,
+)
 from incremental_mapper.results.run_statistics import InputFacts, RunStatistics
 from incremental_mapper.results.sessions.going_on import EarlierMap, whole
 
@@ -139,16 +145,22 @@ def save_map(target: Target, snapshot: Snapshot) -> Saved:
     return Saved(place, '; '.join([trouble, *missing] if trouble else missing), statistics.warnings)
 
 
-def write_candidates(folder: Path, spool: CandidateSpool) -> str | None:
+def windows_before(folder: Path) -> int:
+    """How many windows a saved map has of the sessions before its newest one."""
+    if not (folder / STATISTICS).is_file():  # of a full disk the graph alone was saved
+        return 0
+    return sum(one['windows'] for one in FinishedRun(folder).stats.get('sessions', ())[:-1])
+
+
+def write_candidates(folder: Path, spool: CandidateSpool, before: int = 0) -> str | None:
     """Add ``candidates.parquet`` to a saved map; returns a remark where that cannot be done.
 
     Args:
         folder: The folder of the map.
         spool: The candidates of its windows.
+        before: Windows of the map that come before those.
     """
     try:
-        sessions = FinishedRun(folder).stats.get('sessions', ())
-        before = sum(one['windows'] for one in sessions[:-1])
         with candidate_recorder(folder / FILE_NAME) as record:
             if record is not None:
                 for window in spool.windows():

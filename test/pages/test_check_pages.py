@@ -40,7 +40,7 @@ def test_right_commands_pass(line: str) -> None:
     [
         ('incremental_mapper mapp my_bag out', 'invalid choice'),
         ('incremental_mapper map my_bag out --confg config/kaist.yaml', 'unrecognized arguments'),
-        ('incremental_mapper map my_bag', 'the following arguments are required'),
+        ('incremental_mapper evaluate my_bag', 'the following arguments are required'),
         ('incremental_mapper map my_bag out --strategy best', 'is none of mom'),
         ('incremental_mapper map my_bag out --config config/kaits.yaml', 'does not exist'),
         ('incremental_mapper evaluate a --out b --strategies base,best', "'best' is no strategy"),
