@@ -306,7 +306,7 @@ def report(name: str, alone: Result, among: Result, truth: Path) -> bool:
     for item in among.stats.get('warnings', []):
         print(f'warning: {item["rule"]} {item["sensor"]}: {item["text"][:150]}')
     if alone.status or among.status or 'Traceback' in among.printed:
-        print(among.printed[-3000:])
+        print(among.printed[:1000], '...', among.printed[-3000:], sep='\n')
         return False
     paths = [result.folder / 'trajectory.tum' for result in (alone, among)]
     rms, most, count = apart(*paths)
