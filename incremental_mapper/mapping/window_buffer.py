@@ -11,6 +11,7 @@ every sensor keeps to what was usual for it; a message that does not, and comes 
 was closed, is late.
 """
 
+from bisect import bisect_right
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
@@ -36,7 +37,12 @@ come in that late, and keyframes of real recordings are seconds apart."""
 STEPS = 9
 """Steps of the clock that tell what is usual."""
 FIRST = 5
-"""Measurements that tell what time it is."""
+"""Measurements that tell what time it is: in order, or of one moment."""
+MOMENT = 5 * NANOSECONDS
+"""What is no further apart is of one moment."""
+MOST_FIRST = 60
+"""So many are waited for at the most where they contradict each other, a third of them with stamps
+of their own: a driver that starts may repeat one for seconds."""
 LEAP_WITNESSES = 8
 """So many measurements in a row beyond a leap prove that the clock did move."""
 AGREEMENT = 10 * NANOSECONDS
@@ -121,7 +127,7 @@ class WindowBuffer:
         """Take in one measurement; what cannot be used is counted in ``drops``."""
         if self._first is not None:
             self._first.append(measurement)
-            if len(self._first) >= FIRST:
+            if _tell_the_time(self._first):
                 self._set_clock()
             return
         stamp = measurement.stamp
@@ -176,8 +182,11 @@ class WindowBuffer:
         first, self._first = self._first, None
         if not first:
             return
-        stamps = sorted(item.stamp for item in first)
-        middle = stamps[(len(first) - 1) // 2]
+        stamps = _moments(first)
+        now = _largest(stamps)
+        if len(now) >= FIRST:
+            stamps = now
+        middle = stamps[(len(stamps) - 1) // 2]
         most = self._leap([after - before for before, after in pairwise(stamps)])
         least = -max(MAX_BEHIND, self._lateness)
         beyond = [item for item in first if item.stamp - middle > most]
@@ -197,6 +206,10 @@ class WindowBuffer:
 
     def _suspect(self, measurement: Measurement) -> None:
         """Hold what is beyond a leap, until enough others prove it or time goes on before it."""
+        sensor, stamp = measurement.sensor, measurement.stamp
+        if any(item.stamp == stamp and item.sensor == sensor for item in self._suspects):
+            self.drops[sensor, 'duplicate_stamp'] += 1  # proves no more than the first one
+            return
         if self._suspects and not self._agree(measurement):
             self._in_a_row = 0
         self._suspects.append(measurement)
@@ -340,3 +353,28 @@ class WindowBuffer:
             core=tuple(self._core.pop(key) for key in core),
             imu=tuple(self._imu.pop(key) for key in imu),
         )
+
+
+def _moments(items: Sequence[Measurement]) -> Sequence[int]:
+    """The stamps (ns) of measurements in their order, each of a sensor once."""
+    return sorted(stamp for _, stamp in {(item.sensor, item.stamp) for item in items})
+
+
+def _largest(moments: Sequence[int]) -> Sequence[int]:
+    """The largest group of sorted moments within ``MOMENT``."""
+    groups = [
+        moments[begin : bisect_right(moments, moment + MOMENT)]
+        for begin, moment in enumerate(moments)
+    ]
+    return max(groups, key=len)
+
+
+def _tell_the_time(items: Sequence[Measurement]) -> bool:
+    """Whether the first measurements suffice: strays go anywhere, and keyframes in order."""
+    moments = _moments(items)
+    if len(moments) < FIRST:
+        return len(items) >= MOST_FIRST
+    if len(moments) >= MOST_FIRST // 3 or len(items) >= MOST_FIRST:
+        return True
+    in_order = all(before.stamp <= after.stamp for before, after in pairwise(items))
+    return in_order or len(_largest(moments)) >= FIRST

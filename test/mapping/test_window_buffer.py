@@ -499,3 +499,23 @@ def test_first_stamp_may_be_as_far_ahead_of_the_others_as_any(ahead, leap):
         sink.push(measurement('left', t))
     sink.flush()
     assert sink.drops == ({('left', 'stamp_leap'): 1} if leap else {})
+
+
+@pytest.mark.parametrize('ahead', [60_000, 3_600_000, 10**12])
+def test_a_stray_stamp_that_is_repeated_proves_no_leap_and_no_beginning(ahead):
+    """A driver that starts says one and the same time, wherever it comes in the drive."""
+    drive = list(steady(3000))
+    expected = contents(run(buffer(), drive))
+    for place in (2, 3, 7, 100):
+        sink = buffer()
+        strays = [measurement('imu', ahead)] * (4 * LEAP_WITNESSES)
+        assert contents(run(sink, [*drive[:place], *strays, *drive[place:]])) == expected
+        assert sum(sink.drops.values()) == len(strays)
+
+
+def test_strays_all_over_among_the_first_messages_do_not_tell_the_time():
+    drive = list(steady(3000))
+    expected = contents(run(buffer(), drive))
+    strays = [measurement('imu', at) for at in (-10**9, -5 * 10**8, -30_000, 3_600_000, 60_000)]
+    given = [drive[0], *strays, *drive[1:3], *strays[::-1], *drive[3:]]
+    assert contents(run(buffer(), given)) == expected
