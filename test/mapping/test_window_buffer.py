@@ -516,6 +516,6 @@ def test_a_stray_stamp_that_is_repeated_proves_no_leap_and_no_beginning(ahead):
 def test_strays_all_over_among_the_first_messages_do_not_tell_the_time():
     drive = list(steady(3000))
     expected = contents(run(buffer(), drive))
-    strays = [measurement('imu', at) for at in (-10**9, -5 * 10**8, -30_000, 3_600_000, 60_000)]
+    strays = [measurement('imu', at) for at in (-(10**9), -5 * 10**8, -30_000, 3_600_000, 60_000)]
     given = [drive[0], *strays, *drive[1:3], *strays[::-1], *drive[3:]]
     assert contents(run(buffer(), given)) == expected
