@@ -3,6 +3,9 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from incremental_mapper.mapping.live_map import LiveMap
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.mapping.newest_state import NewestState
@@ -17,6 +20,21 @@ class PoseUpdate:
 
     newest: NewestState
     odometry: OdometryPose
+
+    @property
+    def numbers(self) -> dict[str, NDArray[np.float64] | None]:
+        """All numbers that messages of it are made of, by name; None where one is not known."""
+        newest, odometry = self.newest, self.odometry
+        return {
+            'pose': newest.pose.matrix(),
+            'covariance': newest.covariance,
+            'velocity': newest.velocity,
+            'velocity_covariance': newest.velocity_covariance,
+            'rate': newest.rate,
+            'rate_covariance': newest.rate_covariance,
+            'pose_in_odom': odometry.pose.matrix(),
+            'covariance_in_odom': odometry.covariance,
+        }
 
 
 class Follower:

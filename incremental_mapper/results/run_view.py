@@ -183,7 +183,7 @@ def _show_graph(
                 priors += ends
     if new:
         last = poses[new[-1]['id']]
-        scene.car(_matrix(last))
+        scene.car(pose_matrix(last))
     merged = [poses[item['id']][:3] for item in new if len(item['members']) > 1]
     scene.graph(
         np.array([poses[item['id']][:3] for item in new]).reshape(-1, 3),
@@ -278,8 +278,8 @@ def _thinned(scan: PlacedScan, most: int, max_range: float) -> NDArray[np.float3
     return near
 
 
-def _matrix(numbers: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(4, 4) of x, y, z and a quaternion."""
+def pose_matrix(numbers: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(4, 4) of x, y, z, qx, qy, qz, qw (7,)."""
     one = Trajectory(np.zeros(1, dtype=np.int64), numbers[None, :3], numbers[None, 3:])
     matrix: NDArray[np.float64] = one.matrices()[0]
     return matrix

@@ -8,11 +8,10 @@ import numpy as np
 
 from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.results.messages.result_messages import WINDOW_PREFIX, read_status
-from incremental_mapper.results.run_view import NUMBERS, POINTS_OF_A_WINDOW
+from incremental_mapper.results.run_view import NUMBERS, POINTS_OF_A_WINDOW, pose_matrix
 from incremental_mapper.ros.client import Heard, open_client
 from incremental_mapper.ros.publishers import WINDOW_DEPTH, reliable
 from incremental_mapper.ros.rclpy_types import message_class
-from incremental_mapper.trajectory import Trajectory
 from incremental_mapper.visualization.factor_colours import FACTOR_COLOURS
 from incremental_mapper.visualization.rerun_scene import RerunScene
 
@@ -39,11 +38,8 @@ class NodeView:
         self._at(heard)
         at, turn = heard.message.pose.pose.position, heard.message.pose.pose.orientation
         self._height = at.z
-        place = np.array([[at.x, at.y, at.z]])
-        one = Trajectory(
-            np.zeros(1, dtype=np.int64), place, np.array([[turn.x, turn.y, turn.z, turn.w]])
-        )
-        self._scene.car(one.matrices()[0])
+        place = (at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w)
+        self._scene.car(pose_matrix(np.array(place)))
 
     def points(self, heard: Heard) -> None:
         """Add a window's points."""

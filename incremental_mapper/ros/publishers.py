@@ -134,18 +134,7 @@ class Outputs:
 
     def _sound(self, update: PoseUpdate) -> bool:
         """Whether the newest state may be published."""
-        newest, odometry = update.newest, update.odometry
-        return self._gate.passes(
-            '~/odometry, ~/odom and TF',
-            pose=newest.pose.matrix(),
-            covariance=newest.covariance,
-            velocity=newest.velocity,
-            velocity_covariance=newest.velocity_covariance,
-            rate=newest.rate,
-            rate_covariance=newest.rate_covariance,
-            pose_in_odom=odometry.pose.matrix(),
-            covariance_in_odom=odometry.covariance,
-        )
+        return self._gate.passes('~/odometry, ~/odom and TF', **update.numbers)
 
     def sensors(self, places: Mapping[str, NDArray[np.float64]]) -> None:
         """Tell where the sensors are, T_base_sensor (4, 4) by frame_id."""

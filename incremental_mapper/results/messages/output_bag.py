@@ -151,16 +151,7 @@ class OutputBag:
 
     def _write_pose(self, update: PoseUpdate) -> None:
         newest, odometry, frames = update.newest, update.odometry, self._frames
-        if not self._gate.passes(
-            '/odometry',
-            pose=newest.pose.matrix(),
-            covariance=newest.covariance,
-            velocity=newest.velocity,
-            velocity_covariance=newest.velocity_covariance,
-            rate=newest.rate,
-            rate_covariance=newest.rate_covariance,
-            covariance_in_odom=odometry.covariance,
-        ):
+        if not self._gate.passes('/odometry', **update.numbers):
             return
         messages, stamp = self._messages, newest.stamp
         self._write('odometry', stamp, messages.odometry(newest, frames.map, frames.base))
