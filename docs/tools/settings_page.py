@@ -21,7 +21,7 @@ search:
 
 # Configuration
 
-Every setting, made from the schema (`incremental_mapper/config.py`) when these pages are built.
+Every setting, made from the schema (`incremental_mapper/config/`) when these pages are built.
 The command line and the node share it: `--config FILE` of `map` and `evaluate` takes the same file
 as `--params-file` of the node. A name that is not here, or a value out of its range, is refused
 with one line that says what was expected. Which settings are worth a thought, and what to look at
