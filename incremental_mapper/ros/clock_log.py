@@ -1,6 +1,6 @@
 """When the messages of each sensor came in, beside their stamps: what live clocks are told by."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 import numpy as np
 
@@ -57,11 +57,15 @@ class ClockLog:
             del pairs[1::2]
             self._strides[sensor] *= 2
 
-    def findings(self, offsets: Mapping[str, int]) -> tuple[Finding, ...]:
+    def findings(
+        self, offsets: Mapping[str, int], followed: Collection[str] = ()
+    ) -> tuple[Finding, ...]:
         """What the clocks show, once in a while; most often nothing, as nobody looked.
 
         Args:
             offsets: nanoseconds that are added to the stamps of each sensor.
+            followed: sensors whose clocks stepped and are put right already; what they were most
+                of the time would be taken for what they are.
         """
         passed = 0.0 if self._first is None else (self._newest - self._first) / NANOSECONDS
         if passed < self._next or self._mending:
@@ -70,7 +74,7 @@ class ClockLog:
         clocks = [
             self._clock(sensor, offsets.get(sensor, 0))
             for sensor, pairs in self._pairs.items()
-            if len(pairs) >= _FEWEST
+            if len(pairs) >= _FEWEST and sensor not in followed
         ]
         found = clock_findings(clocks, by_spans=False) if len(clocks) > 1 else ()
         # What mends them takes its time to reach the inputs, which then begin anew.

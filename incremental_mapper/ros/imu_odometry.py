@@ -54,6 +54,10 @@ class ImuOdometry:
         self._prediction.rebase(update.newest, update.odometry)
         self._most = max(self._most, self._prediction.correction)
 
+    def retime(self, config: Config) -> None:
+        """Go on with stamps that other settings put right."""
+        self._config = config
+
     def restart(self, config: Config) -> None:
         """Begin anew with the settings of the next map."""
         self._config = config

@@ -1,6 +1,5 @@
 """One map from its first measurement to its last: the mapper, and what is told of its windows."""
 
-import gc
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -22,6 +21,7 @@ from incremental_mapper.results.candidate_table import FILE_NAME
 from incremental_mapper.results.journal.journal_writer import Journal
 from incremental_mapper.results.run_statistics import InputFacts
 from incremental_mapper.results.sessions.going_on import EarlierMap
+from incremental_mapper.ros.garbage import search_all, set_aside
 from incremental_mapper.ros.inbox import View
 from incremental_mapper.ros.saving import Snapshot
 from incremental_mapper.ros.subscriptions import GNSS, IMU
@@ -63,7 +63,7 @@ class MapSession:
         self._earlier = earlier
         self._mended, self._outside = tuple(mended), outside
         self.limited_windows = self.scan_bytes = self.cloud_bytes = self.disk_bytes = 0
-        gc.collect()  # a map before this one is large, and may wait in cycles of references
+        search_all()
         self.journal = _journal(config, self._mended)
         sensors = [*config.lidars, IMU, GNSS]
         try:
@@ -78,6 +78,7 @@ class MapSession:
         wanted = config.save.candidates and find_spec(LIBRARIES[FILE_NAME]) is not None
         folder = Path(config.map.store_folder) if config.map.store_folder else None
         self._spool = CandidateSpool(folder) if wanted else None
+        set_aside()
 
     def close(self) -> None:
         """Let go of the mapper's processes."""
@@ -131,6 +132,10 @@ class MapSession:
     def mended(self) -> tuple[Finding, ...]:
         """The findings that ``mend`` puts right."""
         return self._mapper.mended
+
+    def mended_since(self, findings: Sequence[Finding]) -> None:
+        """Take note of what settings put right while the map goes on."""
+        self._mended = (*self._mended, *findings)
 
     @property
     def drops(self) -> Drops:

@@ -33,6 +33,7 @@ from incremental_mapper.mapping.following import PoseUpdate
 from incremental_mapper.mapping.load_shedding import NO_SHEDDING
 from incremental_mapper.measurements import Drops, Measurement
 from incremental_mapper.ros.arguments import read_own_arguments
+from incremental_mapper.ros.garbage import search_little
 from incremental_mapper.ros.health import Health
 from incremental_mapper.ros.imu_odometry import make_imu_odometry
 from incremental_mapper.ros.inbox import Command, Deadline, Order, Renewal
@@ -50,6 +51,7 @@ from incremental_mapper.ros.subscriptions import Inputs
 from incremental_mapper.ros.updates import (
     Reply,
     Restarted,
+    Retimed,
     Trouble,
     Update,
     ViewUpdate,
@@ -207,6 +209,11 @@ class MapperNode:
                 self._health.restart()
                 self._findings.of_map(update.findings, told=True)
                 self._outputs.clear()
+            elif isinstance(update, Retimed):
+                self._logger.warning(f'the map goes on with other stamps: {update.reason}')
+                self._inputs.restart(update.config)
+                if self._predicted is not None:
+                    self._predicted.retime(update.config)
             elif isinstance(update, Reply):
                 future = self._futures.pop(update.ticket, None)
                 if future is not None:
@@ -216,7 +223,9 @@ class MapperNode:
 
     def _mend_inputs(self) -> None:
         """Tell what clocks and clouds show; where settings mend them, a new map begins."""
-        found = (*self._inputs.findings(), *self._watch.mended())
+        steps = self._worker.jumps.steps
+        followed = {name for name, step in steps.items() if step.followed}
+        found = (*self._inputs.findings(followed), *self._watch.mended())
         self._findings.add(item for item in found if not item.changes)
         mended = tuple(item for item in found if item.changes)
         if mended:
@@ -350,6 +359,7 @@ def main(args: list[str] | None = None) -> int:
     """
     words = sys.argv if args is None else args
     read_own_arguments(words[1:])
+    search_little()
     wanted, again = threading.Event(), threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: (again if wanted.is_set() else wanted).set())

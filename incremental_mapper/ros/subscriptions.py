@@ -2,7 +2,7 @@
 
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Any
 
@@ -133,9 +133,13 @@ class Inputs:
         newest = max(stamps.values(), default=0)
         return {name: (newest - stamp) / NANOSECONDS for name, stamp in stamps.items()}
 
-    def findings(self) -> tuple[Finding, ...]:
-        """What the sensors' clocks show against the times of receipt since the last call."""
-        return self._clocks.findings(self._offsets)
+    def findings(self, followed: Collection[str] = ()) -> tuple[Finding, ...]:
+        """What the sensors' clocks show against the times of receipt since the last call.
+
+        Args:
+            followed: sensors whose clocks stepped and are put right already.
+        """
+        return self._clocks.findings(self._offsets, followed)
 
     def restart(self, config: Config) -> None:
         """Forget the stamps of the map before; ``config`` are the settings of the new one."""

@@ -6,8 +6,10 @@ stamps so far is held until it is decided, so that nothing of a jump is lost:
 stray
     its sensor goes on as before: the message is left out.
 one sensor's clock
-    it goes on from there while another goes on as before: it is left out, counted and told, until
-    its stamps agree with the others' again as they did before.
+    it goes on from there while another goes on as before: that is told, what came meanwhile is left
+    out and counted, and from then on its stamps are moved back by the step, until they agree with
+    the others' again as they did before. Where the size of the step is not certain, or the clock is
+    set again and again, the sensor is left out until then.
 all sensors' time
     all others do the same or are silent: forwards it is a pause, and all that was held is mapped;
     beyond a day it is a clock that was set, as that of a computer which has started without the
@@ -15,16 +17,15 @@ all sensors' time
 """
 
 from collections import Counter, deque
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
 from itertools import pairwise, takewhile
 from statistics import median_low
 
-from incremental_mapper.checks.finding import Finding, Severity
 from incremental_mapper.checks.gaps import LONGEST_PAUSE
-from incremental_mapper.checks.sensor_clocks import listed, setting_name, setting_tree
 from incremental_mapper.config import TimeJumpPolicy, TimeJumpSettings
 from incremental_mapper.measurements import NANOSECONDS, Drops, Measurement
+from incremental_mapper.ros.clock_steps import MOST_REALIGNED, Beyond, ClockStep, step_size
 
 WITNESSES = 5
 """So many messages beyond a jump prove it, where all sensors that are alive have one of them."""
@@ -50,6 +51,8 @@ SHORTEST_PATIENCE, LONGEST_PATIENCE = NANOSECONDS // 2, 3 * NANOSECONDS
 _PERIODS = 2.5
 _USUAL = 16
 """Messages that tell what is usual for a sensor."""
+_SECONDS_OF_LAGS = 128
+"""Messages by which a step is measured: a second or more of every sensor's."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,10 +65,16 @@ class Passed:
 
 @dataclass(frozen=True, slots=True)
 class _Held:
-    """A measurement that is not decided on, and the number of its arrival."""
+    """A measurement that is not decided on, and the number of its arrival.
+
+    ``behind`` is how far the others were beyond it (ns), ``number`` how many of its sensor's came
+    since the last that agreed.
+    """
 
     measurement: Measurement
     order: int
+    behind: int
+    number: int
 
     @property
     def stamp(self) -> int:
@@ -74,6 +83,10 @@ class _Held:
 
 def _usual() -> deque[int]:
     return deque(maxlen=_USUAL)
+
+
+def _longer() -> deque[int]:
+    return deque(maxlen=_SECONDS_OF_LAGS)
 
 
 @dataclass(slots=True)
@@ -90,6 +103,9 @@ class _Sensor:
     away: int = 0  # messages since it last agreed
     away_since: dict[str, int] = field(default_factory=dict)  # how far others had gone on by then
     alone: bool = False
+    all_lags: deque[int] = field(default_factory=_longer)
+    shift: int = 0  # what its clock stepped by and its stamps are moved back by
+    realigned: int = 0  # times
 
     @property
     def step(self) -> int | None:
@@ -132,12 +148,24 @@ class JumpFilter:
         self._clock_jumped = False
         self.jumps = 0
         self.drops: Drops = Counter()
-        self.steps: Mapping[str, tuple[int, tuple[str, ...]]] = {}
-        """Sensors whose clock stepped alone: by how many ns, and who did not take part."""
+        self.steps: Mapping[str, ClockStep] = {}
+        """Of the sensors whose clock stepped alone."""
 
     def restart(self) -> None:
         """Forget all stamps; the counts stay."""
         self._sensors, self.steps = {}, {}
+
+    def forget(self, sensors: Collection[str]) -> None:
+        """Take some sensors for new ones: their stamps are others from now on.
+
+        Args:
+            sensors: Their names.
+        """
+        for name in sensors:
+            sensor = self._sensors.pop(name, None)
+            if sensor is not None:
+                self._drop(name, sensor, len(sensor.held))
+        self.steps = {name: step for name, step in self.steps.items() if name not in sensors}
 
     def clock_jumped(self) -> None:
         """The clock itself went back: one measurement of each sensor suffices as witness."""
@@ -146,9 +174,12 @@ class JumpFilter:
     def check(self, measurement: Measurement) -> Passed:
         """What to map now that ``measurement`` came."""
         self._order += 1
-        name, stamp = measurement.sensor, measurement.stamp
+        name = measurement.sensor
         others = self._newest_of_others(name)
         sensor = self._sensors.get(name)
+        if sensor is not None and sensor.shift:
+            measurement = self._realigned(sensor, measurement, others)
+        stamp = measurement.stamp
         if sensor is None:
             sensor = self._sensors[name] = _Sensor(stamp, self._order)
             if others is None or stamp <= others + self._threshold:
@@ -159,7 +190,7 @@ class JumpFilter:
             sensor.apart.append(others - stamp)
         if self._agrees(sensor, stamp, others):
             return self._go_on(sensor, measurement, others)
-        return self._hold(sensor, measurement)
+        return self._hold(sensor, measurement, others)
 
     def settle(self) -> tuple[Measurement, ...]:
         """Decide on all that is held, as nothing more may come; returns what to map."""
@@ -223,10 +254,26 @@ class JumpFilter:
             sensor.went_on += 1
             if others is not None:
                 sensor.lags.append(others - stamp)
+                sensor.all_lags.append(others - stamp)
         sensor.away, sensor.alone, sensor.away_since = 0, False, {}
         return Passed((measurement,))
 
-    def _hold(self, sensor: _Sensor, measurement: Measurement) -> Passed:
+    def _realigned(
+        self, sensor: _Sensor, measurement: Measurement, others: int | None
+    ) -> Measurement:
+        """A measurement of a sensor whose clock stepped, as if it had not, unless it came back."""
+        moved = replace(measurement, stamp=measurement.stamp - sensor.shift)
+        if others is None:
+            return moved
+        # Its own stamps go on either way where the step was hardly larger than its period.
+        usual = others - sensor.lag
+        as_it_is, as_moved = abs(usual - measurement.stamp), abs(usual - moved.stamp)
+        if as_it_is > self._slack() or as_it_is > as_moved:
+            return moved
+        sensor.shift = 0
+        return measurement
+
+    def _hold(self, sensor: _Sensor, measurement: Measurement, others: int | None) -> Passed:
         name, stamp = measurement.sensor, measurement.stamp
         if sensor.away == 0:
             sensor.away_since = {other: item.went_on for other, item in self._sensors.items()}
@@ -239,7 +286,8 @@ class JumpFilter:
         if held and not -self._threshold <= stamp - held[-1].stamp <= OWN_AGREEMENT:
             self._drop(name, sensor, len(held))
             held.clear()
-        held.append(_Held(measurement, self._order))
+        behind = 0 if others is None else others - stamp
+        held.append(_Held(measurement, self._order, behind, sensor.away))
         while len(held) > WITNESSES_ANEW and stamp - held[0].stamp > HOLD:
             self._drop(name, sensor, 1)
             del held[0]
@@ -293,8 +341,25 @@ class JumpFilter:
             return
         sensor.alone = True
         newest = max(self._sensors[other].newest for other in live)
-        size = stamp + sensor.lag - newest
-        self.steps = {**self.steps, name: (size, tuple(live))}
+        beyond = [Beyond(item.stamp, item.behind, item.number) for item in sensor.held]
+        size = step_size(sensor.newest, sensor.steps, sensor.all_lags, beyond)
+        follows = size is not None and sensor.realigned < MOST_REALIGNED
+        told = stamp + sensor.lag - newest if size is None else size
+        step = ClockStep(sensor.shift + told, tuple(live), follows)
+        self.steps = {**self.steps, name: step}
+        if size is not None and follows:
+            self._realign(name, sensor, size)
+
+    def _realign(self, name: str, sensor: _Sensor, size: int) -> None:
+        """Follow a sensor whose clock stepped from now on."""
+        last = sensor.held[-1]
+        self._drop(name, sensor, len(sensor.held))
+        sensor.held = []
+        sensor.shift += size
+        sensor.realigned += 1
+        sensor.newest, sensor.heard = last.stamp - size, self._order
+        sensor.away, sensor.alone, sensor.away_since = 0, False, {}
+        sensor.apart.clear()
 
     def _drop(self, name: str, sensor: _Sensor, count: int) -> None:
         """Count held messages that are left out."""
@@ -316,33 +381,8 @@ class JumpFilter:
             sensor = group[item.measurement.sensor]
             sensor.newest, sensor.heard = item.stamp, item.order
             sensor.held, sensor.away, sensor.alone = [], 0, False
+            sensor.shift = 0 if anew else sensor.shift
         self._clock_jumped = False
         self.steps = {name: step for name, step in self.steps.items() if name not in group}
         self.jumps += anew
         return Passed(tuple(item.measurement for item in witnesses), jumped=anew)
-
-
-def step_findings(
-    steps: Mapping[str, tuple[int, tuple[str, ...]]], offsets: Mapping[str, float]
-) -> tuple[Finding, ...]:
-    """Say which sensors' clocks stepped alone.
-
-    Args:
-        steps: As ``JumpFilter.steps``.
-        offsets: The sensors' ``time_offset`` so far, seconds.
-    """
-    found = []
-    for sensor, (size, live) in steps.items():
-        seconds = offsets.get(sensor, 0.0) - size / NANOSECONDS
-        found.append(
-            Finding(
-                'clock_step',
-                Severity.WARNING,
-                sensor,
-                f'its clock stepped by {size / NANOSECONDS:+.2f} s against {listed(live)}; it is '
-                'left out until their stamps agree again as before',
-                f'set its clock right, or {setting_name(sensor)}: {seconds:.2f} for the next start',
-                setting_tree(sensor, seconds),
-            )
-        )
-    return tuple(found)

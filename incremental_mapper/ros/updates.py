@@ -67,10 +67,21 @@ class Restarted:
 
 
 @dataclass(frozen=True, slots=True)
+class Retimed:
+    """The stamps of sensors are put right from now on, and the map goes on.
+
+    ``config`` are the settings from now on.
+    """
+
+    reason: str
+    config: Config
+
+
+@dataclass(frozen=True, slots=True)
 class Trouble:
     """Something that a log must tell of."""
 
     message: str
 
 
-Update: TypeAlias = PoseUpdate | WindowUpdate | ViewUpdate | Reply | Restarted | Trouble
+Update: TypeAlias = PoseUpdate | WindowUpdate | ViewUpdate | Reply | Restarted | Retimed | Trouble

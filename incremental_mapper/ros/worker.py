@@ -16,13 +16,15 @@ from incremental_mapper.measurements import Drops, LidarScan, Measurement
 from incremental_mapper.results.offline_run import MOST_MENDS
 from incremental_mapper.results.sessions.going_on import earlier_map
 from incremental_mapper.ros.beginning import Beginning
+from incremental_mapper.ros.clock_steps import step_findings
+from incremental_mapper.ros.garbage import set_aside
 from incremental_mapper.ros.inbox import Command, Deadline, Inbox, Order, Renewal
 from incremental_mapper.ros.left_over import LeftOver
 from incremental_mapper.ros.map_session import FAILED, MapSession, Told
 from incremental_mapper.ros.saves import Saves
 from incremental_mapper.ros.saving import Snapshot
-from incremental_mapper.ros.time_jumps import JumpFilter, step_findings
-from incremental_mapper.ros.updates import Reply, Restarted, Trouble, Update, WindowUpdate
+from incremental_mapper.ros.time_jumps import JumpFilter
+from incremental_mapper.ros.updates import Reply, Restarted, Retimed, Trouble, Update, WindowUpdate
 from incremental_mapper.settings import as_it_was, make_config, merge, to_tree
 
 SHUTDOWN = 'shutdown'
@@ -34,6 +36,8 @@ RETRY = 5.0
 NO_MAP = 'there is no map: none could be begun; the log says why'
 MENDED = 'before_mend'
 """Why a measurement was lost that a map held whose settings proved wrong."""
+OF_STAMPS = 'clock_offset'
+"""The rule of findings that put right nothing but stamps."""
 
 
 class Worker:
@@ -150,6 +154,7 @@ class Worker:
         return 0 if session is None else session.cloud_bytes
 
     def _run(self) -> None:
+        set_aside()
         try:
             while self._serve():
                 pass
@@ -245,6 +250,8 @@ class Worker:
             return
         self._known = ranked([*kept, *renewal.findings])
         again = self._beginning.whole()
+        if again is None and self._retimed(renewal):
+            return
         if again is None and self._session is not None:
             with self._guarded():
                 self._lost = self._lost + self._session.taken(MENDED)
@@ -260,6 +267,21 @@ class Worker:
                 self.inbox.count(measurement, SHUTDOWN)
             else:
                 self._take_in(measurement)
+
+    def _retimed(self, renewal: Renewal) -> bool:
+        """Go on with the map where other settings are other stamps of some sensors, no more.
+
+        What such a sensor measured until now was not used, or told nothing wrong of the others: a
+        long map is worth more than its share of it.
+        """
+        session = self._session
+        only_stamps = {finding.rule for finding in renewal.findings} == {OF_STAMPS}
+        if session is None or not only_stamps:
+            return False
+        self.jumps.forget({finding.sensor for finding in renewal.findings})
+        session.mended_since(renewal.findings)
+        self._emit(Retimed(renewal.reason, self.config))
+        return True
 
     def _mend(self) -> None:
         """Begin anew where the map's data prove a setting wrong."""

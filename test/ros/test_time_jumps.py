@@ -5,7 +5,8 @@ import pytest
 
 from incremental_mapper.config import Config, TimeJumpPolicy, TimeJumpSettings
 from incremental_mapper.measurements import FixStatus, GnssFix, ImuSample, LidarScan
-from incremental_mapper.ros.time_jumps import JumpFilter, step_findings
+from incremental_mapper.ros.clock_steps import MOST_REALIGNED, step_findings
+from incremental_mapper.ros.time_jumps import JumpFilter
 
 SECOND = 1_000_000_000
 HOUR = 3600 * SECOND
@@ -74,7 +75,7 @@ def test_one_stray_stamp_costs_one_measurement(policy, ahead, sensor, place):
 @pytest.mark.parametrize('policy', list(TimeJumpPolicy))
 @pytest.mark.parametrize('size', [-3.0, -10.0, -3600.0, 2.0, 10.0, 3600.0, 3.2e7])
 @pytest.mark.parametrize('sensor', list(RATES))
-def test_one_sensor_whose_clock_steps_is_left_out_and_told_and_used_when_it_comes_back(
+def test_one_sensor_whose_clock_steps_is_told_and_followed_until_it_comes_back(
     policy, size, sensor
 ):
     def change(name, at):
@@ -86,14 +87,21 @@ def test_one_sensor_whose_clock_steps_is_left_out_and_told_and_used_when_it_come
     assert not begun and jumps.jumps == 0
     others = [item for item in sent if item.sensor != sensor]
     assert [item for item in passed if item.sensor != sensor] == others
-    own = [item.stamp for item in passed if item.sensor == sensor]
-    sound = {item.stamp for item in drive(40) if item.sensor == sensor}
-    outside = [s for s in sound if not 10 <= (s - START) / SECOND < 30]
-    assert own == sorted(outside)
+    own = np.array([item.stamp for item in passed if item.sensor == sensor])
+    sound = np.array([item.stamp for item in drive(40) if item.sensor == sensor])
+    inside = (sound >= START + 10 * SECOND) & (sound < START + 30 * SECOND)
+    ((told, step),) = jumps.steps.items()
+    if step.followed:
+        # It takes a second to be sure of it, and five messages.
+        lost = sound[inside][: max(RATES[sensor] + 1, 5)]
+        assert own.tolist() == np.setdiff1d(sound, lost).tolist()
+    else:
+        # Whoever leaves out all stamps that go back wants none of them.
+        assert policy is TimeJumpPolicy.IGNORE and size < 0
+        assert own.tolist() == sound[~inside].tolist()
     assert balanced(jumps, sent, passed)
-    ((told, (stepped, live)),) = jumps.steps.items()
-    assert told == sensor and set(live) <= set(RATES) - {sensor} and live
-    assert stepped / SECOND == pytest.approx(size, abs=0.3)
+    assert told == sensor and set(step.live) <= set(RATES) - {sensor} and step.live
+    assert step.size / SECOND == pytest.approx(size, abs=1e-6 if step.followed else 0.3)
     (finding,) = step_findings(jumps.steps, {sensor: 0.5})
     key = sensor if sensor in ('imu', 'gnss') else f'lidars.{sensor}'
     assert finding.rule == 'clock_step' and f'{key}.time_offset: ' in finding.remedy
@@ -185,7 +193,67 @@ def test_leap_of_one_sensor_is_believed_once_no_other_is_alive():
     assert passed == [*before, *after]
 
 
-def test_two_sensors_that_jump_together_while_others_do_not_are_left_out():
+def test_a_sensor_whose_clock_steps_for_good_is_realigned_as_its_period_says():
+    """Though it jitters, and messages were lost meanwhile."""
+    rng = np.random.default_rng(3)
+    for sensor, lost in (('left', 0), ('left', 4), ('gnss', 2), ('imu', 0)):
+
+        def change(name, at, sensor=sensor):
+            jitter = rng.normal(0.0, 0.02) / RATES[name]
+            return (jitter - (12.0 if name == sensor and at >= 20 else 0.0)) * SECOND
+
+        gap = (20.0, 20.0 + (lost + 0.5) / RATES[sensor])
+        sent = [
+            item
+            for item in drive(60, change=change)
+            if item.sensor != sensor
+            or not gap[0] <= (item.stamp - START) / SECOND + 12.0 < gap[1]
+            or item.stamp > START + 15 * SECOND
+        ]
+        jumps = JumpFilter(TimeJumpSettings())
+        passed, begun = feed(jumps, sent)
+        assert not begun
+        assert jumps.steps[sensor].size / SECOND == pytest.approx(-12.0, abs=0.1 / RATES[sensor])
+        late = [item for item in passed if item.sensor == sensor]
+        assert len(late) > 0.85 * sum(item.sensor == sensor for item in sent)
+        assert late[-1].stamp == pytest.approx(START + 60 * SECOND, abs=1.2 * SECOND)
+        assert balanced(jumps, sent, passed)
+
+
+def test_a_sensor_without_a_period_whose_clock_steps_is_left_out():
+    """None tells how long after the last message before it the first one behind it was made."""
+    rng = np.random.default_rng(3)
+
+    def change(name, at):
+        return -12.0 * SECOND if name == 'left' and at >= 20 else 0
+
+    # Keyframes.
+    whole = drive(40, change=change)
+    sent = [item for item in whole if item.sensor != 'left' or rng.random() < 0.5]
+    jumps = JumpFilter(TimeJumpSettings())
+    passed, begun = feed(jumps, sent)
+    assert not begun and not jumps.steps['left'].followed
+    assert max(item.stamp for item in passed if item.sensor == 'left') < START + 21 * SECOND
+    assert balanced(jumps, sent, passed)
+
+
+def test_a_clock_that_is_set_again_and_again_is_not_followed_for_ever():
+    def change(name, at):
+        return -5.0 * (at // 10) * SECOND if name == 'right' else 0
+
+    sent = drive(90, change=change)
+    jumps = JumpFilter(TimeJumpSettings())
+    passed, begun = feed(jumps, sent)
+    assert not begun and not jumps.steps['right'].followed
+    own = [item.stamp for item in passed if item.sensor == 'right']
+    assert max(own) < START + (10 * (MOST_REALIGNED + 1) + 1) * SECOND
+    assert {item.stamp for item in drive(20) if item.sensor == 'left'} <= {
+        item.stamp for item in passed if item.sensor == 'left'
+    }
+    assert balanced(jumps, sent, passed)
+
+
+def test_two_sensors_that_jump_together_while_others_do_not_are_followed_each():
     def change(name, at):
         return -50 * SECOND if name in ('left', 'right') and at > 10 else 0
 
@@ -193,7 +261,10 @@ def test_two_sensors_that_jump_together_while_others_do_not_are_left_out():
     jumps = JumpFilter(TimeJumpSettings())
     passed, begun = feed(jumps, sent)
     assert not begun and set(jumps.steps) == {'left', 'right'}
-    assert {item.sensor for item in passed if item.stamp > START + 11 * SECOND} == {'imu', 'gnss'}
+    moved = [item for item in passed if item.stamp > START + 11.5 * SECOND]
+    assert sorted({i.stamp for i in moved}) == sorted(
+        {i.stamp for i in drive(20) if i.stamp > START + 11.5 * SECOND}
+    )
     assert balanced(jumps, sent, passed)
 
 

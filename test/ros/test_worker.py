@@ -27,6 +27,7 @@ from incremental_mapper.ros.inbox import Command, Order, Renewal, View
 from incremental_mapper.ros.updates import (
     Reply,
     Restarted,
+    Retimed,
     Trouble,
     ViewUpdate,
     WindowUpdate,
@@ -382,6 +383,36 @@ def test_measurements_of_a_map_that_is_too_long_to_be_made_again_are_counted(
     stats = json.loads((tmp_path / 'saved' / 'stats.json').read_text())
     lost = sum(reasons['before_mend'] for reasons in stats['dropped'].values())
     assert lost == 100 and sum(stats['received'].values()) == len(run.measurements) - 100
+
+
+def test_a_map_that_is_too_long_to_be_made_again_goes_on_where_stamps_are_put_right(
+    start, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(beginning, 'MOST_SECONDS', 0.2)
+    run = start()
+    found = Finding(
+        'clock_offset', Severity.MENDED, 'gnss', 'late', settings={'gnss': {'time_offset': 0.05}}
+    )
+    half = len(run.measurements) // 2
+    run.feed(run.measurements[:half])
+    run.worker.inbox.put(Renewal(found.settings, 'late', (found,)))
+    run.feed(run.measurements[half:])
+    assert run.order(Order.FLUSH)[0] and run.order(Order.SAVE)[0]
+    assert not run.of(Restarted)
+    (retimed,) = run.of(Retimed)
+    assert retimed.config.gnss.time_offset == run.worker.config.gnss.time_offset == 0.05
+    stats = json.loads((tmp_path / 'saved' / 'stats.json').read_text())
+    assert stats['received'] == dict(Counter(item.sensor for item in run.measurements))
+    assert 'clock_offset' in [item['rule'] for item in stats['warnings']]
+    graph = json.loads((tmp_path / 'saved' / 'graph.json').read_text())
+    members = [item for cluster in graph['clusters'] for item in cluster['members']]
+    found_stamps = sorted(item['stamp_ns'] for item in members if item['sensor'] == 'gnss')
+    moved = [
+        item.stamp + 50_000_000 * (number >= half)
+        for number, item in enumerate(run.measurements)
+        if item.sensor == 'gnss'
+    ]
+    assert found_stamps == moved
 
 
 def test_a_map_is_not_mended_for_ever(start, monkeypatch):

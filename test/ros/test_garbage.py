@@ -1,0 +1,70 @@
+"""Python's search for garbage: what outlived it is left alone, and nothing is kept for ever."""
+
+import gc
+import weakref
+from collections.abc import Iterator
+
+import pytest
+
+from incremental_mapper.ros import garbage
+from incremental_mapper.ros.garbage import search_all, search_little, set_aside
+
+
+class Held:
+    """Something that holds itself."""
+
+    def __init__(self) -> None:
+        self.itself = self
+
+
+@pytest.fixture
+def little() -> Iterator[None]:
+    """Search little, and leave this process as it was."""
+    search_little()
+    yield
+    gc.callbacks.remove(garbage._after_search)
+    gc.unfreeze()
+
+
+@pytest.mark.usefixtures('little')
+def test_a_search_leaves_out_what_has_outlived_one() -> None:
+    search_all()
+    kept = [Held() for _ in range(1000)]
+    gc.collect()
+    # What is set aside is in no generation, so that the next search does not come upon it.
+    assert not any(isinstance(item, Held) for item in gc.get_objects())
+    assert gc.get_freeze_count() > len(kept)
+
+
+@pytest.mark.usefixtures('little')
+def test_cycles_that_die_before_a_search_are_let_go() -> None:
+    search_all()
+    seen = weakref.ref(Held())
+    gc.collect()
+    assert seen() is None
+
+
+@pytest.mark.usefixtures('little')
+def test_everything_is_looked_at_when_a_map_begins() -> None:
+    held = Held()
+    search_all()
+    seen = weakref.ref(held)
+    del held
+    gc.collect()
+    assert seen() is not None
+    search_all()
+    assert seen() is None
+
+
+@pytest.mark.usefixtures('little')
+def test_what_is_there_can_be_set_aside() -> None:
+    search_all()
+    kept = Held()
+    set_aside()
+    assert not any(item is kept for item in gc.get_objects())
+
+
+def test_without_it_the_search_is_python_s_own() -> None:
+    search_all()
+    set_aside()
+    assert gc.get_freeze_count() == 0
