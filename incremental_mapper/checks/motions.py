@@ -94,7 +94,7 @@ def motion_findings(lidars: Sequence[Motions]) -> list[Finding]:
         ``lidars_disagree`` for the LiDARs whose extrinsics are wrong against others', and
         ``moves_sideways`` where all agree on a way that is not along the x axis.
     """
-    driven = [item for item in lidars if _leads_on(item)]
+    driven = [item for item in lidars if leads_on(item)]
     found = [_compare(one, other) for one, other in combinations(driven, 2)]
     disagreeing = [finding for finding in found if finding is not None]
     if disagreeing:
@@ -102,15 +102,27 @@ def motion_findings(lidars: Sequence[Motions]) -> list[Finding]:
     return [finding for item in driven if (finding := _heading(item)) is not None]
 
 
-def _leads_on(item: Motions) -> bool:
+def leads_on(item: Motions) -> bool:
+    """Whether a LiDAR saw enough of a way that has a direction."""
     if len(item.starts) < FEWEST:
         return False
     length = float(np.linalg.norm(item.sum))
     return length > SHORTEST and length > STRAIGHT * item.path
 
 
-def _compare(one: Motions, other: Motions) -> Finding | None:
-    """Hold the velocities of two LiDARs at the same moments against each other."""
+def same_moments(
+    one: Motions, other: Motions
+) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """Velocities of two LiDARs at the same moments.
+
+    Args:
+        one: Whose moments they are.
+        other: Whose velocities are interpolated to them.
+
+    Returns:
+        Velocities (K, 3) of each in base_link, m/s, where both are faster than noise; None where
+        these are too few to judge.
+    """
     mine = (one.starts + one.ends) // 2
     theirs = (other.starts + other.ends) // 2
     origin = min(int(mine[0]), int(theirs[0]))
@@ -121,9 +133,15 @@ def _compare(one: Motions, other: Motions) -> Finding | None:
     fast = (at >= known[0]) & (at <= known[-1])
     fast &= np.linalg.norm(first, axis=1) > SLOWEST
     fast &= np.linalg.norm(second, axis=1) > SLOWEST
-    if fast.sum() < FEWEST:
+    return (first[fast], second[fast]) if fast.sum() >= FEWEST else None
+
+
+def _compare(one: Motions, other: Motions) -> Finding | None:
+    """Hold the velocities of two LiDARs at the same moments against each other."""
+    pair = same_moments(one, other)
+    if pair is None:
         return None
-    first, second = first[fast], second[fast]
+    first, second = pair
     degrees = angle(first.sum(axis=0), second.sum(axis=0))
     units = [item / np.linalg.norm(item, axis=1, keepdims=True) for item in (first, second)]
     scatter = float(np.degrees((units[1] - units[0]).std(axis=0).max()))

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from incremental_mapper.checks.finding import Finding, Severity
 from incremental_mapper.checks.ground import GroundLook, ground_findings
+from incremental_mapper.checks.lidar_ways import way_findings
 from incremental_mapper.checks.motions import (
     Motions,
     Track,
@@ -206,15 +207,21 @@ def _judge(state: GraphState, values: gtsam.Values, config: Config) -> list[Find
     driven = motions(matches(state.factors))
     fit = fit_findings(residuals(judged(state.factors), values), state.clusters[0].cluster.stamp)
     placed = sorted(state.clusters, key=lambda item: item.cluster.stamp)
+    fixes = track(state.fixes)
     return [
         *speed_findings(
             np.array([item.cluster.stamp for item in placed], dtype=np.int64),
             np.array([values.atPose3(pose_key(item.id)).translation() for item in placed]),
         ),
-        *distance_findings(driven, track(state.fixes)),
+        *distance_findings(driven, fixes),
         *ground_findings(ground_looks(state.scans, config)),
-        *causes(fit, motion_findings(driven)),
+        *causes(fit, _moving(driven, fixes)),
     ]
+
+
+def _moving(driven: Sequence[Motions], fixes: Track) -> list[Finding]:
+    """What the motions of the LiDARs say; of those that drive apart, no more than that."""
+    return motion_findings(driven) or way_findings(driven, fixes)
 
 
 @contextmanager
@@ -302,7 +309,7 @@ class FitWatch:
             if self._matched >= self._enough:
                 # Neither do these extrinsics change: twice the matches may say more.
                 self._enough = self._matched + min(self._matched, NEWEST)
-                self._driven = motion_findings(motions(self._matches))
+                self._driven = _moving(motions(self._matches), track(state.fixes))
             found += causes(fit, self._driven)
             found += self._ground(state)
         self._found.update({(finding.rule, finding.sensor): finding for finding in found})
