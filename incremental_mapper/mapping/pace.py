@@ -90,7 +90,9 @@ class Pace:
             grain: nanoseconds by which ``now`` goes on at a time.
             lateness: the longest wait, ns.
         """
-        due = self._newest
+        due, passed = self._newest, now - min(self._lag + grain + _LAG_MARGIN, lateness)
         if self._steps:
-            due += max(self._shortest - self._margin, 0)
-        return max(due, now - min(self._lag + grain + _LAG_MARGIN, lateness))
+            # Those that would have come by now were missed, and the next keeps their pace.
+            missed = max(passed - self._newest, 0) // (self._shortest + self._spread)
+            due += max((missed + 1) * self._shortest - self._margin, 0)
+        return max(due, passed)

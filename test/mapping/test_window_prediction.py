@@ -132,6 +132,35 @@ def test_fixes_that_were_missed_do_not_make_the_others_uncertain():
     assert np.quantile(after, 0.85) < 0.015
 
 
+def test_while_fixes_are_missing_only_the_windows_wait_in_which_one_would_be_due():
+    keys = drive(40, jitter=0.005, noise=3.0, without=[('gnss', 25.0, 33.5)])
+    sink, held, waits = run(keys)
+    meanwhile = [
+        wait for end, wait in waits if EPOCH + 25.5 * NANOSECONDS < end < EPOCH + 32.5 * NANOSECONDS
+    ]
+    assert len(meanwhile) > 65
+    assert np.quantile(meanwhile, 0.75) < 0.015
+    assert not sink.drops and sink.late == 0
+    assert held == run(keys, False)[1]
+
+
+@settings(deadline=None, max_examples=40)
+@given(
+    seed=st.integers(0, 10**6),
+    jitter=st.floats(0, 0.012),
+    delay=st.floats(0, 150),
+    lost=st.lists(st.tuples(st.floats(8, 18), st.floats(0.5, 5.0)), max_size=3),
+)
+def test_fixes_that_come_back_at_their_pace_are_in_the_windows_of_the_full_wait(
+    seed, jitter, delay, lost
+):
+    without = [('gnss', at, at + length) for at, length in lost]
+    keys = drive(25, PERIODS, jitter, {'gnss': delay}, 5.0, seed, without)
+    sink, held, _ = run(keys)
+    assert not sink.drops and sink.late == 0
+    assert held == run(keys, False)[1]
+
+
 def test_first_windows_wait_no_longer_than_until_all_sensors_have_sent():
     keys = drive(20, jitter=0.005, noise=3.0)
     seen = {}
