@@ -56,6 +56,19 @@ def insert_bias(values: gtsam.Values, key: int, bias: gtsam.imuBias.ConstantBias
     values.insert(_no_bias(key).retract(step))
 
 
+def insert_moved(
+    source: gtsam.Values, key: int, T_new_old: gtsam.Pose3, target: gtsam.Values
+) -> None:
+    """Copy one variable between ``Values`` of different frames; biases are the vehicle's own."""
+    kind = kind_of(key)
+    if kind == 'x':
+        target.insert(key, T_new_old.compose(source.atPose3(key)))
+    elif kind == 'v':
+        target.insert(key, T_new_old.rotation().rotate(source.atVector(key)))
+    else:
+        target.insert(key, source.atConstantBias(key))
+
+
 def copy_value(
     source: gtsam.Values, key: int, target: gtsam.Values, name: int | None = None
 ) -> None:

@@ -1,6 +1,6 @@
 """Local maps: the scans of a stretch of way together, which look alike whenever it is passed."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 
 import gtsam
@@ -44,6 +44,7 @@ def cut_local_maps(
     values: gtsam.Values,
     settings: ClosureSettings,
     run: int = 0,
+    wanted: Collection[int] | None = None,
 ) -> list[LocalMap]:
     """Cut the scans of a drive into local maps along its way.
 
@@ -53,6 +54,7 @@ def cut_local_maps(
         values: The poses of the clusters.
         settings: Length and voxel size of a local map.
         run: The number that the local maps get.
+        wanted: Clusters whose local maps get points, the others none; None is all of them.
 
     Returns:
         They, in the order of the way; a stretch without scans has none.
@@ -75,8 +77,8 @@ def cut_local_maps(
     for stretch, parts in _by_stretch(scans, stretches, travelled):
         middle = middles[stretch]
         own = poses[middle]
-        clouds = []
-        for scan in parts:
+        clouds = [np.zeros((0, 3))]
+        for scan in parts if wanted is None or middle in wanted else ():
             T_own_scan = own.between(poses[scan.cluster].compose(scan.T_cluster_scan))
             points = scan.points.astype(np.float64)
             near = np.einsum('ij,ij->i', points, points) < settings.max_range**2

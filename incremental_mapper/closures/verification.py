@@ -100,12 +100,13 @@ class Verifier:
             np.square([self._settings.floor_rotation] * 3 + [self._settings.floor_translation] * 3)
         )
         covariance = floor if covariance is None else covariance + floor
-        if known is not None and _distance(known, pose, covariance) > IMPROBABLE:
+        found = Closure(candidate.first, candidate.second, pose, covariance, overlap)
+        if not probable(found, known):
             return 'improbable'
         back = _align(second.scan, first.scan, pose.inverse(), REACHES[-1])
         if not _same(gtsam.Pose3(np.asarray(back.T_target_source)).inverse(), pose):
             return 'one_way'
-        return Closure(candidate.first, candidate.second, pose, covariance, overlap)
+        return found
 
     def _ready(self, place: int) -> _Prepared:
         if place in self._prepared:
@@ -121,6 +122,18 @@ class Verifier:
         if len(self._prepared) > KEPT:
             self._prepared.popitem(last=False)
         return made
+
+
+def probable(closure: Closure, known: Known | None) -> bool:
+    """Whether what is known of the relative pose allows a closure.
+
+    Args:
+        closure: It.
+        known: What is known; None is nothing.
+    """
+    if known is None:
+        return True
+    return _distance(known, closure.T_first_second, closure.covariance) <= IMPROBABLE
 
 
 def _align(

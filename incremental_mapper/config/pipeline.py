@@ -214,7 +214,7 @@ class ClosureSettings(Section):
     """Loop closure: places that a drive passes again hold its poses together."""
 
     enabled: bool = True
-    """Look for them before a map is saved."""
+    """Look for them before a map is saved, and in a node while it grows."""
     map_length: float = Field(default=20.0, ge=2.0, le=500.0)
     """Metres of way whose scans make one local map; local maps are what is compared."""
     voxel_size: float = Field(default=0.4, ge=0.05, le=5.0)
@@ -237,6 +237,9 @@ class ClosureSettings(Section):
     """The same in radians."""
     robust_threshold: float = Field(default=3.0, ge=0.0, le=100.0)
     """Huber threshold in standard deviations; 0 switches the robust loss off."""
+    live_period: float = Field(default=10.0, ge=0.0, le=1e6, allow_inf_nan=False)
+    """Seconds at the least between two searches of a node, whose map is closed while it grows; 0
+    leaves that to what is saved."""
 
 
 class SelectionSettings(Section):

@@ -27,7 +27,7 @@ from incremental_mapper.smoothing.batch import make_graph, optimize
 from incremental_mapper.smoothing.graph_state import GraphState
 from incremental_mapper.smoothing.marginal_prior import MarginalPrior
 from incremental_mapper.smoothing.smoother import marginal_prior_of
-from incremental_mapper.variables import copy_value, kind_of, pose_key
+from incremental_mapper.variables import insert_moved, pose_key
 
 MOST_FIXES = 40
 """Newest fixes that are looked at for a track; a car may stand for long before it moves."""
@@ -146,13 +146,7 @@ def turn_values(values: gtsam.Values, T_enu_map: gtsam.Pose3) -> gtsam.Values:
     """
     turned = gtsam.Values()
     for key in values.keys():  # noqa: SIM118 (no mapping)
-        kind = kind_of(key)
-        if kind == 'x':
-            turned.insert(key, T_enu_map.compose(values.atPose3(key)))
-        elif kind == 'v':
-            turned.insert(key, T_enu_map.rotation().rotate(values.atVector(key)))
-        else:
-            copy_value(values, key, turned)
+        insert_moved(values, key, T_enu_map, turned)
     return turned
 
 
@@ -160,7 +154,7 @@ def _solved(
     state: GraphState, factors: Sequence[Factor], initial: gtsam.Values, config: Config
 ) -> tuple[MarginalPrior, gtsam.Values]:
     """All of G(t) solved again: its newest part, and the variables that have left it."""
-    plain = tuple(factor.factor for factor in factors)
+    plain = tuple(factor.factor for factor in (*factors, *state.closures))
     solution = optimize(make_graph(plain), initial, 100)
     clusters = {placed.id: placed.cluster.stamp for placed in state.clusters}
     newest = max(clusters.values())

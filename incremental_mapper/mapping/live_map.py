@@ -1,11 +1,13 @@
 """Map, path and graph as they stand now, at a cost that does not grow with every window.
 
 What has left the mapper's lag is final: it is placed once and kept. Only the lag is placed anew.
-When the map is turned into ENU, once in a drive, everything is placed again.
+When the map is turned into ENU, once in a drive, everything is placed again; so it is, a part with
+each window, when closed loops have moved the map by more than a voxel.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +26,10 @@ from incremental_mapper.variables import cluster_of
 
 _FULLEST = 65_536.0
 """Points after which a voxel takes no more; its sums stay exact to a fraction of a millimetre."""
+EARLIER = -1
+"""Stands for a cluster of the map before."""
+AGAIN_SCANS, AGAIN_POSES = 20, 200
+"""Scans, and poses of the path, that are placed again with each window: some milliseconds."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,8 +71,12 @@ class LiveMap:
         self._mapper = mapper
         self._earlier = earlier
         self._bright = False  # whether any scan has intensities
-        self._path: list[tuple[int, list[float]]] = []
+        self._path: list[tuple[int, list[float], int]] = []  # stamp, pose and cluster
         self._stride = 1
+        self._again: VoxelGrid | None = None
+        self._placed_again = self._old_path = 0
+        self._again_at = 0.0
+        self._again_earlier: Iterator[tuple[NDArray[np.float32], NDArray[np.float64]]] = iter(())
         self._restart()
 
     def follow(self) -> None:
@@ -74,6 +84,7 @@ class LiveMap:
         state = self._mapper.state
         if state.georeferenced != self._georeferenced:
             self._restart()
+        self._correct()
         while self._scans < len(state.scans):
             scan = state.scans[self._scans]
             if state.in_lag(scan.cluster):
@@ -85,11 +96,13 @@ class LiveMap:
             if state.in_lag(placed.id):
                 break
             if self._clusters % self._stride == 0:
-                self._path.append((placed.cluster.stamp, pose_numbers(state.pose(placed.id))))
+                row = (placed.cluster.stamp, pose_numbers(state.pose(placed.id)), placed.id)
+                self._path.append(row)
             self._clusters += 1
         while len(self._path) > self._config.path.max_poses // 2:
             self._path = self._path[::2]
             self._stride *= 2
+            self._old_path = len(self._path) if self._old_path else 0
 
     @property
     def nbytes(self) -> int:
@@ -133,10 +146,12 @@ class LiveMap:
         stride = max(self._stride, -(-len(moving) // room))
         # Counted from the newest one, which is always shown.
         shown = moving[::-1][::stride][::-1]
-        rows = self._path + [
-            (item.cluster.stamp, pose_numbers(state.pose(item.id))) for item in shown
-        ]
-        return PathView([stamp for stamp, _ in rows], [pose for _, pose in rows])
+        stamps = [stamp for stamp, _, _ in self._path]
+        poses = [pose for _, pose, _ in self._path]
+        return PathView(
+            [*stamps, *(item.cluster.stamp for item in shown)],
+            [*poses, *(pose_numbers(state.pose(item.id)) for item in shown)],
+        )
 
     def graph(self, span: float) -> GraphView:
         """Poses and factors of the newest ``span`` seconds."""
@@ -153,21 +168,64 @@ class LiveMap:
         self._clusters = 0
         self._path = []
         self._stride = 1
+        self._corrections = self._mapper.state.corrections
+        self._placed_at = self._mapper.state.shifted
+        self._again, self._old_path = None, 0
         if self._earlier is not None and self._georeferenced:
             self._show(self._earlier)
 
+    def _correct(self) -> None:
+        """After closed loops have moved the map: place what is final again, a part at a time."""
+        state = self._mapper.state
+        if state.corrections != self._corrections:
+            self._corrections = state.corrections
+            self._old_path = len(self._path)
+        for place in range(max(self._old_path - AGAIN_POSES, 0), self._old_path):
+            stamp, _, cluster = self._path[place]
+            if cluster != EARLIER:
+                self._path[place] = (stamp, pose_numbers(state.pose(cluster)), cluster)
+        self._old_path = max(self._old_path - AGAIN_POSES, 0)
+        if self._again is None and state.shifted - self._placed_at > self._size:
+            self._again, self._placed_again = self._empty_grid(), 0
+            self._again_at = state.shifted
+            self._again_earlier = self._of_earlier()
+        if self._again is None:
+            return
+        before = list(islice(self._again_earlier, AGAIN_SCANS))
+        for points, pose in before:
+            self._again.add(points, pose)
+        if before:
+            return
+        end = min(self._placed_again + AGAIN_SCANS, self._scans)
+        for scan in state.scans[self._placed_again : end]:
+            self._add(self._again, scan)
+        self._placed_again = end
+        if end == self._scans:
+            self._cloud, self._again = self._again, None
+            self._placed_at = self._again_at
+
+    def _of_earlier(self) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float64]]]:
+        """Points of the map before, as far as it is shown, and what places them."""
+        shown = self._earlier if self._georeferenced else None
+        return iter(()) if shown is None else iter(shown.placed_scans([]))
+
     def _show(self, earlier: MapResult) -> None:
-        for points, pose in earlier.placed_scans([]):
+        for points, pose in self._of_earlier():
             self._cloud.add(points, pose)
         way = earlier.trajectory
         stride = max(-(-4 * len(way) // self._config.path.max_poses), 1)
         poses = [matrix_numbers(matrix) for matrix in way.matrices()[::stride]]
-        self._path = list(zip(way.stamps[::stride].tolist(), poses, strict=True))
+        stamps = way.stamps[::stride].tolist()
+        self._path = [(stamp, pose, EARLIER) for stamp, pose in zip(stamps, poses, strict=True)]
+
+    @property
+    def _size(self) -> float:
+        settings = self._config.map
+        return settings.display_voxel_size or settings.voxel_size
 
     def _empty_grid(self) -> VoxelGrid:
         settings = self._config.map
-        size = settings.display_voxel_size or settings.voxel_size
-        return VoxelGrid(size, max_range=settings.max_range, fullest=_FULLEST)
+        return VoxelGrid(self._size, max_range=settings.max_range, fullest=_FULLEST)
 
     def _add(self, grid: VoxelGrid, scan: PlacedScan) -> None:
         grid.add(scan.cloud, self._pose(scan))

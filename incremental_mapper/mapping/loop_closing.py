@@ -4,14 +4,15 @@ They come after the windows: no candidate of a window competes with them, and G(
 """
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import gtsam
 import numpy as np
 
-from incremental_mapper.closures.candidate_pairs import INSTALL, Known, can_recognise
+from incremental_mapper.closures.candidate_pairs import INSTALL, Known, by_place, can_recognise
 from incremental_mapper.closures.local_maps import LocalMap, cut_local_maps
-from incremental_mapper.closures.search import find_closures
+from incremental_mapper.closures.search import NOT_TESTED, Found, Tested, find_closures
 from incremental_mapper.config import Config
 from incremental_mapper.errors import OutputError
 from incremental_mapper.graph.factors import Factor, FactorKind, closure_factor
@@ -38,7 +39,8 @@ class Closed:
     """A map with its loops closed.
 
     ``factors`` are the closures, ``values`` what all of it says; ``searched`` counts the candidates
-    and ``refused`` why some of them are no closures. ``note`` is a remark for the user.
+    and ``refused`` why some of them are no closures. ``note`` is a remark for the user; ``tested``
+    are the pairs that were registered.
     """
 
     values: gtsam.Values
@@ -46,6 +48,12 @@ class Closed:
     searched: int = 0
     refused: Counter[str] = field(default_factory=Counter)
     note: str = ''
+    tested: Tested = field(default_factory=dict)
+
+    def told(self) -> dict[str, int]:
+        """What statistics tell of it; empty where nothing was compared."""
+        counted = {'candidates': self.searched, 'accepted': len(self.factors)}
+        return {**counted, **dict(sorted(self.refused.items()))} if self.searched else {}
 
     def counted(self, statistics: MapStatistics) -> MapStatistics:
         """The statistics of the windows with what was found after them.
@@ -56,7 +64,6 @@ class Closed:
         if not self.searched and not self.note:
             return statistics
         more = len(self.factors)
-        told = {'candidates': self.searched, 'accepted': more, **dict(sorted(self.refused.items()))}
         kinds = Counter(statistics.factors_by_kind) + Counter({str(FactorKind.CLOSURE): more})
         total = statistics.factors + more
         return replace(
@@ -64,7 +71,7 @@ class Closed:
             factors=total,
             factors_by_kind=dict(sorted(kinds.items())),
             compression_factors_percent=percent_saved(total, statistics.base_factors),
-            closures=told,
+            closures=self.told() or {'candidates': 0, 'accepted': 0},
             notes={**statistics.notes, **({self.note: 1} if self.note else {})},
         )
 
@@ -89,34 +96,98 @@ def close_loops(state: GraphState, values: gtsam.Values, config: Config) -> Clos
         return Closed(values, note=UNREADABLE)
     if not maps or maps[-1].travelled - maps[0].travelled < settings.min_travel:
         return Closed(values)
-    plain = [factor.factor for factor in state.factors]
+    found = _found(state.factors, maps, values, config)
+    if found is None:
+        return Closed(values)
+    told = maps[-1].travelled < RECOGNISE_FROM or can_recognise()
+    return _closed(state, maps, found, values, config, '' if told else NO_LIBRARY)
+
+
+def find_loops(state: GraphState, values: gtsam.Values, config: Config, tested: Tested) -> Closed:
+    """As ``close_loops`` for a map that grows: what was compared before is not compared again.
+
+    Only what lies near each other is compared: places that look alike are left to what is saved.
+
+    Args:
+        state: G(t), which stays as it is.
+        values: Its optimum, with the closures that it has.
+        config: All settings.
+        tested: Pairs that were registered before.
+
+    Returns:
+        All closures, those that the map has among them, and the values with them; where no pair is
+        new, ``values`` and no factors.
+    """
+    settings = config.closure
+    # The newest local map is not whole.
+    maps = cut_local_maps(state.clusters, state.scans, values, settings, wanted=())[:-1]
+    pairs = [
+        (maps[one.first].cluster, maps[one.second].cluster) for one in by_place(maps, settings)
+    ]
+    wanted = {cluster for pair in pairs if pair not in tested for cluster in pair}
+    if not wanted:
+        return Closed(values, tested=tested)
     try:
-        covariances = RelativeCovariances(plain, values)
+        maps = cut_local_maps(state.clusters, state.scans, values, settings, wanted=wanted)[:-1]
+    except OutputError:
+        return Closed(values, tested=tested)
+    found = _found([*state.factors, *state.closures], maps, values, config, tested, False)
+    if found is None:
+        return Closed(values, tested=tested)
+    return _closed(state, maps, found, values, config, '')
+
+
+def _found(
+    factors: Sequence[Factor],
+    maps: Sequence[LocalMap],
+    values: gtsam.Values,
+    config: Config,
+    tested: Tested = NOT_TESTED,
+    recognise: bool = True,
+) -> Found | None:
+    """Closures among local maps; None where it cannot be told what is known already."""
+    try:
+        covariances = RelativeCovariances((factor.factor for factor in factors), values)
     except RuntimeError:
         # A singular system: without knowing what is known, no closure can be held against it.
-        return Closed(values)
+        return None
 
     def relative(first: LocalMap, second: LocalMap) -> Known:
         covariance = covariances.relative(pose_key(first.cluster), pose_key(second.cluster))
         return Known(first.T_map_base.between(second.T_map_base), covariance)
 
-    found = find_closures(maps, relative, settings, config.odometry)
+    return find_closures(
+        maps, relative, config.closure, config.odometry, recognise=recognise, tested=tested
+    )
+
+
+def _closed(
+    state: GraphState,
+    maps: Sequence[LocalMap],
+    found: Found,
+    values: gtsam.Values,
+    config: Config,
+    note: str,
+) -> Closed:
     factors = tuple(
         closure_factor(
             (pose_key(maps[one.first].cluster), pose_key(maps[one.second].cluster)),
             one.T_first_second,
             one.covariance,
-            settings.robust_threshold,
+            config.closure.robust_threshold,
             (maps[one.first].stamp, maps[one.second].stamp),
         )
         for one in found.closures
     )
-    told = maps[-1].travelled < RECOGNISE_FROM or can_recognise()
-    note = '' if told else NO_LIBRARY
-    solved = solve_with_closures(plain, factors, values)
-    kept = len(solved.factors)
-    refused = found.refused + Counter(refuted=len(factors) - kept)
-    return Closed(solved.values, solved.factors, found.candidates, refused, note)
+    solved = solve_with_closures([factor.factor for factor in state.factors], factors, values)
+    refused = found.refused + Counter(refuted=len(factors) - len(solved.factors))
+    return replace(
+        solved,
+        searched=found.candidates,
+        refused=refused,
+        note=note,
+        tested=found.tested,
+    )
 
 
 def solve_with_closures(

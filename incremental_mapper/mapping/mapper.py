@@ -33,6 +33,8 @@ from incremental_mapper.mapping.imu_gate import ImuGate
 from incremental_mapper.mapping.imu_intake import ImuIntake
 from incremental_mapper.mapping.joining import join, joinable
 from incremental_mapper.mapping.judgement import judge_map
+from incremental_mapper.mapping.live_closing import LiveLoops, LoopNews, Runner
+from incremental_mapper.mapping.live_closing import live as closes_live
 from incremental_mapper.mapping.load_shedding import NO_SHEDDING, LoadShedding
 from incremental_mapper.mapping.loop_closing import close_loops
 from incremental_mapper.mapping.newest_state import NewestState, newest_state
@@ -94,6 +96,7 @@ class Mapper:
         sensors: Sequence[str] = (),
         predict: bool = False,
         store: PointStore | None = None,
+        searches: Runner | None = None,
     ) -> None:
         """Make ready for the first measurement.
 
@@ -102,6 +105,8 @@ class Mapper:
             sensors: Names to wait for from the start; others are waited for once they are seen.
             predict: Wait for no sensor beyond what is usual for it; whoever needs windows soon.
             store: Keeps the points of the scans; None is what ``map.store`` says.
+            searches: Runs the search for closed loops beside the windows; without one, loops are
+                closed in ``result`` alone.
 
         Raises:
             ConfigError: The strategy is unknown or cannot be loaded.
@@ -134,6 +139,8 @@ class Mapper:
         self._orientation: NDArray[np.float64] | None = None
         self._carried: list[Prepared] = []
         self._state = GraphState(store=store, recent=recent_scans(config.mom.submap_scans))
+        closes = searches is not None and closes_live(config)
+        self._loops = LiveLoops(self._state, config, searches) if searches and closes else None
         self._base = BaseCount(round(config.preintegration.max_gap * NANOSECONDS))
         self._totals = Totals()
         self._failed: Drops = Counter()
@@ -185,6 +192,14 @@ class Mapper:
             self._front_end.passed(newest)
         self._hold(self._buffer.pop_ready())
         yield from self.go_on(shedding)
+
+    def close_loops(self) -> LoopNews | None:
+        """Between two windows: put in closed loops that were found, and search for more.
+
+        Returns:
+            What a user is to be told of it, most often nothing.
+        """
+        return None if self._loops is None else self._loops.step()
 
     @property
     def waits(self) -> bool:
@@ -336,8 +351,11 @@ class Mapper:
         )
 
     def stats(self) -> dict[str, Any]:
-        """``statistics`` as the keys of ``stats.json``."""
-        return self.statistics.to_tree()
+        """``statistics`` as the keys of ``stats.json``, with the loops that are closed by now."""
+        statistics = self.statistics
+        if self._loops is not None:
+            statistics = self._loops.counted(statistics)
+        return statistics.to_tree()
 
     def _outcome(self) -> Outcome:
         notes = self._front_end.notes
@@ -345,6 +363,8 @@ class Mapper:
 
     def close(self) -> None:
         """Let go of processes and threads; nothing may be pushed afterwards."""
+        if self._loops is not None:
+            self._loops.close()
         self._front_end.close()
 
     def _hold(self, windows: Sequence[Window]) -> None:

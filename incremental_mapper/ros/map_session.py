@@ -24,11 +24,12 @@ from incremental_mapper.results.sessions.going_on import EarlierMap
 from incremental_mapper.ros.garbage import search_all, set_aside
 from incremental_mapper.ros.inbox import View
 from incremental_mapper.ros.saving import Snapshot
+from incremental_mapper.ros.search_process import SearchProcess
 from incremental_mapper.ros.subscriptions import GNSS, IMU
-from incremental_mapper.ros.updates import ViewUpdate, WindowUpdate
+from incremental_mapper.ros.updates import News, Trouble, ViewUpdate, WindowUpdate
 from incremental_mapper.visualization.extras import LIBRARIES
 
-Told: TypeAlias = PoseUpdate | WindowUpdate
+Told: TypeAlias = PoseUpdate | WindowUpdate | News | Trouble
 
 TOPICS = 'ROS topics'
 AUTOSAVE = '_autosave'
@@ -67,7 +68,9 @@ class MapSession:
         self.journal = _journal(config, self._mended)
         sensors = [*config.lidars, IMU, GNSS]
         try:
-            self._mapper = Mapper(config, sensors, config.window.predict, self.journal)
+            self._mapper = Mapper(
+                config, sensors, config.window.predict, self.journal, SearchProcess()
+            )
         except BaseException:
             self.discard()
             raise
@@ -201,6 +204,9 @@ class MapSession:
             if pose is not None:
                 yield pose
             yield self._update(result, None if pose is None else pose.newest)
+            said = self._mapper.close_loops()
+            if said is not None:
+                yield Trouble(said.text) if said.trouble else News(said.text)
 
     def _update(self, result: WindowResult, newest: NewestState | None) -> WindowUpdate:
         if self.journal is not None:

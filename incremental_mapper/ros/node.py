@@ -49,6 +49,7 @@ from incremental_mapper.ros.programs import NODE_NAME
 from incremental_mapper.ros.publishers import Outputs, node_name
 from incremental_mapper.ros.subscriptions import Inputs
 from incremental_mapper.ros.updates import (
+    News,
     Reply,
     Restarted,
     Retimed,
@@ -218,6 +219,8 @@ class MapperNode:
                 future = self._futures.pop(update.ticket, None)
                 if future is not None:
                     future.set_result(update)
+            elif isinstance(update, News):
+                self._logger.info(update.message)
             else:
                 self._logger.warning(update.message)
 

@@ -3,17 +3,12 @@
 GTSAM solves and numbers become text under Python's lock: a thread that saves a map of ten minutes
 keeps the windows waiting for as long as it takes. A fork costs some 10 ms for each gigabyte, holds
 the map as it was in that moment, and goes on by itself where the node is killed: it has a session
-of its own and does not listen to SIGINT and SIGTERM.
-
-What a fork must beware of: other threads are not in it, and locks that they held stay locked. So
-it touches neither the middleware nor anything else that the node's other threads use; GTSAM and
-the compiled parts have no threads and no locks of their own here, and the C library and Python
-put theirs right. A fork that does nothing for long is ended all the same.
+of its own and does not listen to SIGINT and SIGTERM. What a fork must beware of
+is in ``forks``.
 """
 
 import contextlib
 import fcntl
-import gc
 import os
 import pickle
 import select
@@ -24,7 +19,6 @@ import sys
 import threading
 import time
 import traceback
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,6 +26,7 @@ from typing import NoReturn
 
 from incremental_mapper.errors import MapperError
 from incremental_mapper.results.draw import MODULE as DRAW
+from incremental_mapper.ros.forks import forked, stand_alone, tell, work
 from incremental_mapper.ros.saving import Saved
 
 MOST = 2
@@ -105,13 +100,8 @@ class SaveProcesses:
             self._changed.wait_for(lambda: self._saving < MOST)
             self._saving += 1
         mine, theirs = os.pipe()
-        # Whatever waits to be written would be written twice.
-        sys.stdout.flush()
-        sys.stderr.flush()
         try:
-            with warnings.catch_warnings():
-                warnings.simplefilter('ignore', DeprecationWarning)  # see above
-                child = os.fork()
+            child = forked()
         except OSError:
             os.close(mine)
             os.close(theirs)
@@ -197,7 +187,7 @@ def _answer(child: int, pipe: int) -> Outcome:
     data, busy, worked = b'', -1, time.monotonic()
     while len(data) < LENGTH.size or len(data) < LENGTH.size + LENGTH.unpack_from(data)[0]:
         if not select.select([pipe], [], [], LOOK)[0]:
-            now = _work(child)
+            now = work(child)
             if now != busy:
                 busy, worked = now, time.monotonic()
             elif time.monotonic() - worked > STUCK:
@@ -216,29 +206,10 @@ def _answer(child: int, pipe: int) -> Outcome:
     return outcome
 
 
-def _work(child: int) -> int:
-    """A number that changes while a process works: its time on a processor, and what it wrote.
-
-    It grows while it waits for its turn, too.
-    """
-    try:
-        fields = Path(f'/proc/{child}/stat').read_text(encoding='ascii').rpartition(')')[2].split()
-        written = Path(f'/proc/{child}/io').read_text(encoding='ascii').split()
-    except OSError:
-        return time.monotonic_ns()  # it cannot be told here
-    return int(fields[11]) + int(fields[12]) + int(written[written.index('write_bytes:') + 1])
-
-
 def _save_there(job: Job, pipe: int, turn: int | None) -> NoReturn:
     """The whole life of the process."""
     try:
-        os.setsid()
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, signal.SIG_IGN)
-        # Looking for garbage would touch, and so copy, every page of the map.
-        gc.disable()
-        _let_go()
-        sys.stderr = open(2, 'w', closefd=False)  # noqa: SIM115 (its lock may be held)
+        stand_alone()
         if job.quiet:
             os.nice(NICE)
         if turn is not None:
@@ -246,14 +217,14 @@ def _save_there(job: Job, pipe: int, turn: int | None) -> NoReturn:
                 time.sleep(0.1)  # which is work, if little, for whoever watches
         outcome = run_here(job.save)
         data = pickle.dumps(outcome)
-        _tell(pipe, LENGTH.pack(len(data)) + data)
+        tell(pipe, LENGTH.pack(len(data)) + data)
         if turn is not None:
             fcntl.lockf(turn, fcntl.LOCK_UN)
         if outcome.saved is not None:
             os.nice(19)
             _follow(job, outcome.saved.folder, pipe)
     except BaseException:
-        _tell(pipe, traceback.format_exc().encode())
+        tell(pipe, traceback.format_exc().encode())
     finally:
         os._exit(0)
 
@@ -262,7 +233,7 @@ def _follow(job: Job, folder: Path, pipe: int) -> None:
     """Add what may follow, and become the program that draws."""
     remark = job.more(folder)
     if remark is not None:
-        _tell(pipe, f'{remark}\n'.encode())
+        tell(pipe, f'{remark}\n'.encode())
     if not job.pictures:
         return
     silence = os.open(os.devnull, os.O_RDWR)
@@ -277,20 +248,3 @@ def _took(turn: int) -> bool:
     except OSError:
         return False
     return True
-
-
-def _tell(pipe: int, data: bytes) -> None:
-    """Write to whoever listens, if anybody still does."""
-    with contextlib.suppress(OSError):
-        while data:
-            data = data[os.write(pipe, data) :]
-
-
-def _let_go() -> None:
-    """Close what belongs to the middleware, so that a node that follows finds it free."""
-    with contextlib.suppress(OSError):
-        for path in list(Path('/proc/self/fd').iterdir()):
-            with contextlib.suppress(OSError):
-                place = str(path.readlink())
-                if place.startswith('socket:') or 'fastrtps' in place or 'fastdds' in place:
-                    os.close(int(path.name))

@@ -84,4 +84,13 @@ class Trouble:
     message: str
 
 
-Update: TypeAlias = PoseUpdate | WindowUpdate | ViewUpdate | Reply | Restarted | Retimed | Trouble
+@dataclass(frozen=True, slots=True)
+class News:
+    """Something that a log may tell of."""
+
+    message: str
+
+
+Update: TypeAlias = (
+    PoseUpdate | WindowUpdate | ViewUpdate | Reply | Restarted | Retimed | News | Trouble
+)

@@ -15,8 +15,17 @@ from incremental_mapper.config import MOST_SUBMAP_SCANS
 from incremental_mapper.graph.factors import BETWEEN_STATES, Factor
 from incremental_mapper.graph.frontier import Frontier
 from incremental_mapper.map.store import MemoryStore, PointStore, StoredPoints
+from incremental_mapper.smoothing.correction import Evidence, hold, release, with_evidence
 from incremental_mapper.smoothing.marginal_prior import MarginalPrior, marginalise
-from incremental_mapper.variables import bias_key, cluster_of, kind_of, pose_key, velocity_key
+from incremental_mapper.variables import (
+    bias_key,
+    cluster_of,
+    copy_value,
+    insert_moved,
+    kind_of,
+    pose_key,
+    velocity_key,
+)
 
 KNOWN_VELOCITY = 0.5
 """m/s; a velocity with a smaller standard deviation may be used to predict motion."""
@@ -111,6 +120,10 @@ class GraphState:
         velocity_known: Whether the graph has pinned the velocity down since the start.
         enu_offset: Where ENU's origin lies in the map, (3,) metres; None before the first fix.
         georeferenced: Whether the map is ENU.
+        closures: Closed loops that are in it already; other factors are in ``factors``.
+        oldest: Stamp (ns) before which poses change no more, window by window.
+        corrections: How often all of it was moved at once: by closures, or into another frame.
+        shifted: Metres that closures have moved its poses by, summed up.
         factor_counts: Factors by kind.
         inertial: Clusters with velocity and bias.
     """
@@ -131,6 +144,10 @@ class GraphState:
     velocity_known: bool = False
     enu_offset: NDArray[np.float64] | None = None
     georeferenced: bool = False
+    closures: list[Factor] = field(default_factory=list)
+    oldest: int = 0
+    corrections: int = 0
+    shifted: float = 0.0
     factor_counts: Counter[str] = field(default_factory=Counter)
     inertial: set[int] = field(default_factory=set)
 
@@ -156,7 +173,10 @@ class GraphState:
 
     def in_lag(self, cluster: int) -> bool:
         """Whether a cluster's pose still changes."""
-        return cluster in self.prior.clusters
+        stamp = self.prior.clusters.get(cluster)
+        if stamp is None or stamp >= self.oldest:
+            return stamp is not None
+        return not any(cluster_of(key) == cluster for key in self.prior.held)
 
     def has_inertial(self, cluster: int) -> bool:
         """Whether a cluster has velocity and bias."""
@@ -272,6 +292,7 @@ class GraphState:
             self.last_velocity = predicted_velocity
         self.prior, gone = marginalise(self.prior, frontier.keys(), oldest)
         self.values.insert(gone)
+        self.oldest = oldest
 
     def turn_to_enu(
         self,
@@ -293,6 +314,7 @@ class GraphState:
         self.last_velocity = T_enu_map.rotation().rotate(self.last_velocity)
         self.enu_offset = np.zeros(3)
         self.georeferenced = True
+        self.corrections += 1
 
     def refound(
         self,
@@ -315,6 +337,49 @@ class GraphState:
         self.factors, self.fixes = list(factors), list(fixes)
         self.prior, self.values = prior, values
         self.enu_offset, self.georeferenced = offset, False
+        self.corrections += 1
+
+    def hold(self) -> None:
+        """Hold the frontier as it is, until evidence on it comes."""
+        self.prior = hold(self.prior)
+
+    def release(self) -> None:
+        """Hold nothing any more."""
+        self.prior = release(self.prior)
+
+    def close(
+        self,
+        closures: Sequence[Factor],
+        evidence: Evidence,
+        older: gtsam.Values,
+        left: gtsam.Values,
+        since: int,
+        shifted: float,
+    ) -> None:
+        """Take in closed loops, found while windows went on.
+
+        Args:
+            closures: All closures from now on.
+            evidence: What they say of the frontier that is held.
+            older: What had left the lag when it was held, as the closures have it; it is kept.
+            left: The rest of what was there then.
+            since: How many clusters there were then.
+            shifted: By how many metres that moved a pose at the most.
+        """
+        self.prior = with_evidence(self.prior, evidence)
+        T_new_old = evidence.T_new_old
+        for key in left.keys():  # noqa: SIM118 (no mapping)
+            if self.values.exists(key):
+                copy_value(left, key, older)
+        for cluster in range(since, len(self.clusters)):
+            for key in (pose_key(cluster), velocity_key(cluster), bias_key(cluster)):
+                if self.values.exists(key):
+                    insert_moved(self.values, key, T_new_old, older)
+        self.values = older
+        self.last_velocity = T_new_old.rotation().rotate(self.last_velocity)
+        self.closures = list(closures)
+        self.corrections += 1
+        self.shifted += shifted
 
     def _pins_velocity(self, cluster: int) -> bool:
         """Whether a cluster's velocity is certain enough to predict motion."""

@@ -36,6 +36,10 @@ class MarginalPrior:
             pending delta: there are many of them, and few are asked for.
         pending_delta: Tangent step (f,) that the eliminated variables have yet to make.
         clusters: The clusters in it with their stamps (ns).
+        held: Variables that stay among the frontier and the eliminated, however old, until
+            evidence on them has come; see ``correction``.
+        spread: Covariance (h, h) that they have where the frontier is known: they move with it by
+            ``gains``, and this is what is left.
         healthy: False where the last window could not be solved and stays at its initial values.
     """
 
@@ -47,6 +51,8 @@ class MarginalPrior:
     base: gtsam.Values = field(default_factory=gtsam.Values)
     pending_delta: Array = field(default_factory=lambda: np.zeros(0))
     clusters: Mapping[int, int] = field(default_factory=dict)
+    held: tuple[int, ...] = ()
+    spread: Array = field(default_factory=lambda: np.zeros((0, 0)))
     healthy: bool = True
 
     @property
@@ -60,6 +66,25 @@ class MarginalPrior:
         """Values that have the newest estimate of one variable, and maybe others' that are not."""
         place = layout_of(self.eliminated).places.get(key)
         return self.base if place is None else self._moved((key,), self.pending_delta[place])
+
+    def following(self, keys: Collection[int]) -> tuple[Array, Array]:
+        """How variables move with the frontier, those of the frontier themselves included.
+
+        Args:
+            keys: Of the frontier, or eliminated ones.
+
+        Returns:
+            Gains (k, n), and the tangent steps (k,) that they have yet to make.
+        """
+        inside, outside = layout_of(self.keys).places, layout_of(self.eliminated).places
+        unit = np.eye(self.root.shape[1])
+        gains = [unit[inside[key]] if key in inside else self.gains[outside[key]] for key in keys]
+        still = np.zeros(0)
+        steps = [
+            np.zeros(len(rows)) if key in inside else self.pending_delta[outside[key]]
+            for key, rows in zip(keys, gains, strict=True)
+        ]
+        return np.vstack([unit[:0], *gains]), np.concatenate([still, *steps])
 
     def _moved(self, keys: tuple[int, ...], step: Array) -> gtsam.Values:
         return self.base.extract(keys).retract(layout_of(keys).vector_values(step))
@@ -109,6 +134,12 @@ def marginalise(
     if count:
         solved, _ = dtrtrs(reduced[:count, :count], solved)
     moves = np.vstack([prior.gains[:, first] @ solved, solved])
+    spread = prior.spread
+    if prior.held and count:
+        # What is dropped is not known exactly where the rest is, and the held ones move with it.
+        noise, _ = dtrtrs(reduced[:count, :count], np.eye(count))
+        noise = prior.following(prior.held)[0][:, first] @ noise
+        spread = spread + noise @ noise.T
     gains, pending_delta = moves[:, :-1], moves[:, -1]
     gains[: len(prior.gains)] += prior.gains[:, last]
     pending_delta[: len(prior.pending_delta)] += prior.pending_delta
@@ -122,8 +153,11 @@ def marginalise(
         base=prior.base,
         pending_delta=pending_delta,
         clusters=prior.clusters,
+        held=prior.held,
+        spread=spread,
         healthy=prior.healthy,
     )
+    wanted |= {cluster_of(key) for key in prior.held}
     old = {
         cluster
         for cluster, stamp in prior.clusters.items()

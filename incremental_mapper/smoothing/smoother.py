@@ -88,6 +88,8 @@ def _larger(
         base=base,
         pending_delta=prior.pending_delta,
         clusters={**prior.clusters, **clusters},
+        held=prior.held,
+        spread=prior.spread,
     )
 
 

@@ -1,13 +1,17 @@
 """Map, path and graph as they stand while a drive is mapped."""
 
+import gtsam
 import numpy as np
 import pytest
 
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.map.cloud import accumulate
+from incremental_mapper.mapping import live_map
+from incremental_mapper.mapping.georeferencing import turn_values
 from incremental_mapper.mapping.live_map import LiveMap
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.results.offline_run import effective_config
+from incremental_mapper.smoothing.correction import Evidence
 
 SECOND = 1_000_000_000
 
@@ -106,3 +110,33 @@ def test_graph_view_holds_the_asked_span_only(followed):
     assert len(view.poses) == len(within) < len(mapper.state.clusters)
     assert view.edges['odometry'].shape[1:] == (2, 3)
     assert len(live.graph(60.0).poses) == len(mapper.state.clusters)
+
+
+def test_closed_loops_move_path_and_map_a_part_at_a_time(followed, monkeypatch):
+    mapper, _ = followed
+    monkeypatch.setattr(live_map, 'AGAIN_SCANS', 3)
+    monkeypatch.setattr(live_map, 'AGAIN_POSES', 2)
+    live = LiveMap(mapper)
+    live.follow()
+    state, before, way = mapper.state, live.points(), live.path()
+    # As a closure that moves all of the map as one, by more than a voxel.
+    T_new_old = gtsam.Pose3(gtsam.Rot3.Yaw(0.1), np.array([3.0, -1.0, 0.0]))
+    older, left = (turn_values(values, T_new_old) for values in (state.values, state.prior.values))
+    state.hold()
+    keys = state.prior.held
+    size = state.prior.root.shape[1]
+    nothing = Evidence(keys, left.extract(list(keys)), np.zeros((0, size)), np.zeros(0), T_new_old)
+    state.close([], nothing, older, left, len(state.clusters), 3.2)
+    live.follow()
+    assert live.points()[:10] == pytest.approx(before[:10], abs=1e-6)  # not all is placed yet
+    for _ in range(len(state.scans)):
+        live.follow()
+    anew = LiveMap(mapper)
+    anew.follow()
+    assert live.points() == pytest.approx(anew.points(), abs=1e-5)
+    path = live.path()
+    assert path.poses == pytest.approx(np.array(anew.path().poses), abs=1e-9)
+    assert path.stamps == way.stamps
+    expected = T_new_old.transformFrom(np.array(way.poses[0][:3]))
+    assert path.poses[0][:3] == pytest.approx(expected, abs=1e-6)
+    assert len(live.points()) != len(before) or not np.allclose(live.points(), before, atol=0.1)
