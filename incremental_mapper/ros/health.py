@@ -220,7 +220,7 @@ class Health:
             'fixes_used': stats.get('factors_by_kind', {}).get(GNSS, 0),
             'fixes_rejected': dict(drops.get(GNSS, {})),
         }
-        level, message = DiagnosticStatus.OK, 'connected'
+        level, message = DiagnosticStatus.OK, 'connected' if values['clusters'] else 'no map yet'
         if values['bridges']:
             message = f'connected; {values["bridges"]} of {values["clusters"]} poses by a bridge'
         if values['components'] > 1:

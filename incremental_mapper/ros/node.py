@@ -33,6 +33,7 @@ from incremental_mapper.mapping.following import PoseUpdate
 from incremental_mapper.mapping.load_shedding import NO_SHEDDING
 from incremental_mapper.measurements import Drops, Measurement
 from incremental_mapper.ros.arguments import read_own_arguments
+from incremental_mapper.ros.drop_log import AGAIN
 from incremental_mapper.ros.garbage import search_little
 from incremental_mapper.ros.health import Health
 from incremental_mapper.ros.imu_odometry import make_imu_odometry
@@ -103,7 +104,7 @@ class MapperNode:
         self._futures: dict[int, Future] = {}
         self._tickets = count(1)
         self._stopping = False
-        self._overloaded = False
+        self._overload_told = Deadline(0.0)
         config = self.parameters.config
         self._logger = self.node.get_logger()
         self._findings = KnownFindings(self._logger)
@@ -291,13 +292,14 @@ class MapperNode:
         self._outputs.tick()
         self._outputs.sensors(self._extrinsics.untold())
         overloaded = self._worker.inbox.shedding() != NO_SHEDDING
-        if overloaded and not self._overloaded:
+        if overloaded and self._overload_told.passed():
+            # A machine at its limit comes and goes there several times a minute.
+            self._overload_told = Deadline(AGAIN)
             self._logger.warning(
                 'measurements come faster than they are mapped: fewer candidates are tried, then '
                 'windows are merged, then scans left out; slow the input down or lower '
                 'selection.max_candidates'
             )
-        self._overloaded = overloaded
 
     def _on_diagnostics(self) -> None:
         self._look_at_inputs()
