@@ -7,8 +7,8 @@ INPUT is a KAIST folder or a bag, CONFIG tells where its sensors are. evalio and
 installed into an environment of their own below --cache, at the first run only. Everybody gets one
 LiDAR (the first) and the IMU, and runs with its defaults; --set names further runs of ours with
 other settings. Every run is a process of its own. ATE is after the best rigid fit, drift the mean
-error of motions over 10 to 400 m in m per 100 m, seconds those inside the pipeline, and memory the
-peak of the process, in which evalio and the libraries of this package are loaded as well.
+error of motions over 10 to 400 m in m per 100 m, seconds those inside the pipeline, and memory by
+how much its process has more at its peak than one that only reads the input.
 """
 
 import argparse
@@ -34,8 +34,19 @@ ROOT = Path(__file__).parents[1]
 MODULE = 'incremental_mapper.evaluation.evalio_module'
 OURS = 'incremental_mapper'
 PIPELINES = (OURS, 'kiss', 'genz', 'ct', 'mad', 'loam', 'liosam', 'dlio', 'form')
+READER, READING = 'evalio_reader', 'reading'
+"""Module and pipeline that do nothing with what they are given."""
 PATIENCE = 600
 """Seconds that one run may take."""
+WATCHED = """
+import os, resource, sys
+status = os.spawnvp(os.P_WAIT, sys.argv[2], sys.argv[2:])
+with open(sys.argv[1], 'w') as file:
+    file.write(f'{resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss}')
+sys.exit(status)
+"""
+"""Runs a command and tells the peak of its memory, kB. Linux counts what the parent of a process
+held when it was started as its own, so the parent must be small."""
 
 
 def environment(cache: Path) -> Path:
@@ -62,18 +73,20 @@ def run(
     tree = {'datasets': [f'mapper_inputs/{name}'], 'pipelines': [pipeline]}
     config.write_text(yaml.safe_dump(tree), encoding='utf-8')
     surroundings = os.environ | {
-        'EVALIO_CUSTOM': MODULE,
+        'EVALIO_CUSTOM': f'{MODULE},{READER}',
+        'PYTHONPATH': str(Path(__file__).parent.absolute()),
         'EVALIO_MAPPER_INPUTS': f'{name}={place}',
         'EVALIO_DATA': str(out),
     }
+    peak = out / 'peak.txt'
     with tempfile.TemporaryFile('w+') as said:
-        words = ['timeout', str(PATIENCE), str(programs / 'evalio'), 'run', '-c', str(config)]
-        process = subprocess.Popen(words, stdout=said, stderr=said, env=surroundings, cwd=out)
-        _, status, used = os.wait4(process.pid, 0)
-        process.returncode = os.waitstatus_to_exitcode(status)
+        words = [str(programs / 'python'), '-S', '-c', WATCHED, str(peak)]
+        words += ['timeout', str(PATIENCE), str(programs / 'evalio'), 'run', '-c', str(config)]
+        done = subprocess.run(words, stdout=said, stderr=said, env=surroundings, cwd=out)
         said.seek(0)
         lines = [line.strip() for line in said.read().splitlines() if line.strip()]
-    return (lines or [f'status {process.returncode}'])[-1], used.ru_maxrss / 1024
+    last = (lines or [f'status {done.returncode}'])[-1]
+    return last, int(peak.read_text(encoding='utf-8')) / 1024
 
 
 def read(file: Path) -> tuple[dict[str, str], Trajectory | None]:
@@ -105,6 +118,7 @@ def main() -> None:
     parser.add_argument('--keep', type=Path, metavar='OUT', help="evalio's files")
     args = parser.parse_args()
     programs = environment(args.cache.absolute())
+    print(EVALIO)
     pipelines: list[dict[str, Any]] = []
     for number, change in enumerate(args.set):
         pairs = [word.split('=', 1) for word in change.split(',')]
@@ -123,6 +137,8 @@ def main() -> None:
             name = re.sub(r'\W', '_', path.name)
             truth = open_source(path, {} if config is None else read_yaml(config)).truth()
             print(f'{place}\n  {"":28} {"ATE m":>9} {"m/100 m":>9} {"seconds":>9} {"MB":>6}')
+            reading = {'name': READING, 'pipeline': READING}
+            _, before = run(programs, name, '='.join(map(str, where)), reading, out)
             for pipeline in pipelines:
                 last, memory = run(programs, name, '='.join(map(str, where)), pipeline, out)
                 file = f'{pipeline["name"]}.csv'
@@ -135,8 +151,9 @@ def main() -> None:
                 ate = np.nan if errors is None else errors.ate_rmse_m
                 moved = np.nan if truth is None else drift(made, truth)
                 seconds = float(said['total_elapsed'])
+                more = memory - before
                 print(
-                    f'  {label:28} {ate:9.4f} {moved:9.3f} {seconds:9.2f} {memory:6.0f}', flush=True
+                    f'  {label:28} {ate:9.4f} {moved:9.3f} {seconds:9.2f} {more:6.0f}', flush=True
                 )
 
 

@@ -62,37 +62,18 @@ def newest_state(state: GraphState, series: ImuSeries, config: Config) -> Newest
     cluster = frontier.newest
     if cluster is None:
         return None
-    inertial = state.has_inertial(cluster)
-    pose = state.pose(cluster)
-    velocity = state.velocity(cluster) if inertial else state.last_velocity
+    velocity = velocity_key(cluster)
     rate, rate_covariance = _rate(state, series, config)
     return NewestState(
         stamp=frontier.newest_stamp,
-        pose=pose,
+        pose=state.pose(cluster),
         covariance=prior.covariance(pose_key(cluster)),
-        velocity=velocity,
-        velocity_covariance=_in_base(state, cluster, pose, velocity) if inertial else None,
+        velocity=state.velocity(cluster) if state.has_inertial(cluster) else state.last_velocity,
+        velocity_covariance=prior.covariance(velocity) if velocity in prior.keys else None,
         rate=rate,
         rate_covariance=rate_covariance,
         bias=state.last_bias if state.velocity_known else None,
     )
-
-
-def _in_base(
-    state: GraphState, cluster: int, pose: gtsam.Pose3, velocity: NDArray[np.float64]
-) -> NDArray[np.float64] | None:
-    """Covariance of the velocity along the axes of base_link, of which the attitude has a part."""
-    keys = (pose_key(cluster), velocity_key(cluster))
-    if not set(keys) <= set(state.prior.keys):
-        return None
-    joint = state.prior.covariance(*keys)
-    if joint is None:
-        return None
-    R_base_map = pose.rotation().matrix().T
-    turn = gtsam.Rot3.Hat(R_base_map @ velocity)
-    jacobian = np.hstack([turn, np.zeros((3, 3)), R_base_map])
-    covariance: NDArray[np.float64] = jacobian @ joint @ jacobian.T
-    return covariance
 
 
 def _rate(

@@ -20,6 +20,7 @@ from scipy.linalg import block_diag, eigh
 from incremental_mapper.smoothing.batch import eliminate, make_graph
 from incremental_mapper.smoothing.linear_system import Array, layout_of, solve_scaled
 from incremental_mapper.smoothing.marginal_prior import MarginalPrior, triangle
+from incremental_mapper.smoothing.tangent import retracted
 from incremental_mapper.variables import cluster_of, kind_of
 
 SHARE = 1e-6
@@ -28,7 +29,7 @@ SHARE = 1e-6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
-    """A likelihood of variables: of a tangent step δ (n,) away from ``values``, ‖rows · δ − rhs‖².
+    """A likelihood of variables: of GTSAM's step δ (n,) away from ``values``, ‖rows · δ − rhs‖².
 
     Attributes:
         keys: The variables.
@@ -92,7 +93,8 @@ def evidence_on(
     T_new_old = _motion(prior, values)
     there = moved(prior, T_new_old)
     # Linear around different values, the two would not quite agree on where the mean is.
-    pull = there.root.T @ (there.rhs + there.root @ _apart(values, there.base, prior.keys))
+    known = np.linalg.solve(there.own_steps().T, there.root.T).T  # over GTSAM's steps
+    pull = known.T @ (there.rhs + known @ _apart(values, there.base, prior.keys))
     return Evidence(
         keys=prior.keys,
         values=values.extract(keys),
@@ -150,16 +152,18 @@ def moved(prior: MarginalPrior, T_new_old: gtsam.Pose3) -> MarginalPrior:
         elif kind_of(key) == 'v':
             base.update(key, T_new_old.rotation().rotate(base.atVector(key)))
     turn = T_new_old.rotation().matrix()
-    frontier = _turned(prior.keys, turn)
+    frontier = _turned(prior.keys, turn, poses=True)
     eliminated, held = _turned(prior.eliminated, turn), _turned(prior.held, turn)
     root = prior.root @ frontier.T
     gains = eliminated @ prior.gains @ frontier.T
     twist = gtsam.Pose3.Logmap(T_new_old)
-    went, followed = _steps(prior.keys, base, twist), _steps(prior.eliminated, base, twist)
+    pivot = T_new_old.transformFrom(prior.pivot)
+    went, followed = _rigid(prior.keys, base, twist, pivot), _steps(prior.eliminated, base, twist)
     return replace(
         prior,
         root=root,
         rhs=prior.rhs - root @ went,
+        pivot=pivot,
         gains=gains,
         base=base,
         pending_delta=eliminated @ prior.pending_delta + gains @ went - followed,
@@ -191,8 +195,8 @@ def with_evidence(prior: MarginalPrior, evidence: Evidence) -> MarginalPrior:
     if step is None:
         return grown  # the next window takes it from here
     base = gtsam.Values(prior.base)
-    keys = list(prior.keys)
-    base.update(base.extract(keys).retract(layout_of(prior.keys).vector_values(step)))
+    layout = layout_of(prior.keys)
+    base.update(retracted(base.extract(layout.keys), layout, step, prior.pivot))
     return replace(
         grown,
         rhs=rest - root @ step,
@@ -201,14 +205,26 @@ def with_evidence(prior: MarginalPrior, evidence: Evidence) -> MarginalPrior:
     )
 
 
-def _turned(keys: Sequence[int], turn: Array) -> Array:
-    """Tangent steps in the new map by those in the old one: velocities turn, and only they."""
-    blocks = [turn if kind_of(key) == 'v' else np.eye(6) for key in keys]
+def _turned(keys: Sequence[int], turn: Array, poses: bool = False) -> Array:
+    """Steps in the new map by those in the old one: velocities turn, and poses about a pivot."""
+    both = block_diag(turn, turn)
+    kinds = {'x': both if poses else np.eye(6), 'v': turn, 'b': np.eye(6)}
+    blocks = [kinds[kind_of(key)] for key in keys]
     return block_diag(*blocks) if blocks else np.zeros((0, 0))
 
 
+def _rigid(keys: tuple[int, ...], values: gtsam.Values, twist: Array, pivot: Array) -> Array:
+    """Steps (n,) about a pivot of variables that move as a rigid body by a twist of the map."""
+    layout, step = layout_of(keys), _steps(keys, values, twist)
+    for _, place in layout.poses:
+        step[place] = np.concatenate([twist[:3], twist[3:] + np.cross(twist[:3], pivot)])
+    for velocity in layout.velocities:
+        step[velocity.place] = 0.0
+    return step
+
+
 def _steps(keys: Sequence[int], values: gtsam.Values, twist: Array) -> Array:
-    """Tangent steps (n,) of variables that move as a rigid body by a twist (6,) of the map."""
+    """GTSAM's steps (n,) of variables that move as a rigid body by a twist (6,) of the map."""
     steps = [np.zeros(0)]
     for key in keys:
         if kind_of(key) == 'x':

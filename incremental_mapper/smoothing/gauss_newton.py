@@ -20,10 +20,15 @@ from incremental_mapper.smoothing.linear_system import (
     Rest,
     System,
     layout_of,
-    linearised,
 )
 from incremental_mapper.smoothing.marginal_prior import MarginalPrior
-from incremental_mapper.variables import kind_of
+from incremental_mapper.smoothing.tangent import (
+    from_own_columns,
+    linearised,
+    own_step,
+    retracted,
+)
+from incremental_mapper.variables import cluster_of, kind_of, pose_key
 
 AGREEMENT = 1e-4
 """A solve has converged where the linear error is the true one, or the step makes the linear
@@ -61,7 +66,7 @@ class Solved:
         """Estimates of the variables that were solved for."""
         layout = self.system.layout
         here = self.start.extract(layout.keys)
-        return here.retract(layout.vector_values(self.step)) if self.step.any() else here
+        return retracted(here, layout, self.step, self.prior.pivot) if self.step.any() else here
 
     @property
     def values(self) -> gtsam.Values:
@@ -75,7 +80,8 @@ class Solved:
     def pose(self, key: int) -> gtsam.Pose3 | None:
         """Estimate of one pose; None where it is neither solved for nor eliminated."""
         if (place := self.system.layout.places.get(key)) is not None:
-            return self.start.atPose3(key).retract(self.step[place])
+            before = self.start.atPose3(key)
+            return before.retract(own_step(before, self.step[place], self.prior.pivot))
         if (place := self.eliminated.places.get(key)) is not None:
             moved = self.prior.gains[place] @ self.system.total[: self.system.known]
             return self.prior.base.atPose3(key).retract(self.prior.pending_delta[place] + moved)
@@ -85,7 +91,8 @@ class Solved:
         """The system, linearised at the solution."""
         if self.graph is None or not self.step.any():
             return self.system
-        return self.system.relinearized(*linearised(self.system.layout, self.graph, self.own()))
+        rows = linearised(self.system.layout, self.graph, self.own(), self.prior.pivot)
+        return self.system.relinearized(*rows)
 
 
 class Problem:
@@ -118,7 +125,7 @@ class Problem:
         graph = make_graph(factors)
         layout = self._known.followed_by([*variables, *graph.keyVector()])
         values = self.values.extract(layout.keys)
-        system = self._system(layout, *linearised(layout, graph, values))
+        system = self._system(layout, *linearised(layout, graph, values, self._prior.pivot))
         return self._descend(graph, values, system)
 
     def refine(self, solved: Solved, factors: Iterable[gtsam.NonlinearFactor]) -> Solved | None:
@@ -126,13 +133,14 @@ class Problem:
         if solved.graph is not None:
             return solved
         graph, values = make_graph(factors), solved.own()
-        system = solved.system.relinearized(*linearised(solved.system.layout, graph, values))
+        layout, pivot = solved.system.layout, self._prior.pivot
+        system = solved.system.relinearized(*linearised(layout, graph, values, pivot))
         return self._descend(graph, values, system)
 
     def _descend(
         self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, system: System
     ) -> Solved | None:
-        layout, error = system.layout, 2.0 * graph.error(values)
+        layout, error, pivot = system.layout, 2.0 * graph.error(values), self._prior.pivot
         cost, start, last = error + system.prior_error, values, np.zeros(layout.size)
         for _ in range(self._max_iterations):
             best = system.best()
@@ -142,7 +150,7 @@ class Problem:
             if system.cost - expected.cost <= AT_REST * (1.0 + cost):
                 break
             for _ in range(HALVINGS):
-                moved = values.retract(layout.vector_values(step))
+                moved = retracted(values, layout, step, pivot)
                 reached = 2.0 * graph.error(moved)
                 better = reached + expected.prior_error <= cost * (1.0 + 1e-6) + 1e-9
                 if better:
@@ -159,7 +167,7 @@ class Problem:
             cost = error + system.prior_error
             if converged:
                 break
-            system = system.relinearized(*linearised(layout, graph, values))
+            system = system.relinearized(*linearised(layout, graph, values, pivot))
             start, last = values, np.zeros(layout.size)
         if not np.isfinite(error):
             return None
@@ -204,6 +212,7 @@ class SharedProblem(Problem):
     def __init__(self, prior: MarginalPrior, max_iterations: int) -> None:
         super().__init__(prior, gtsam.Values(), max_iterations)
         self._linear: dict[int, _Linear] = {}
+        self._own_steps: dict[int, Array] = {}
         # Columns of the variables of all sets together.
         self._all = Layout(())
         self._columns: dict[int, Indices] = {}
@@ -234,7 +243,7 @@ class SharedProblem(Problem):
         """Whether a robust factor's error differs from the linear one after a step."""
         own = layout_of(item.keys)
         moved = step[layout.columns(item.keys)]
-        values = self.values.extract(item.keys).retract(own.vector_values(moved))
+        values = retracted(self.values.extract(item.keys), own, moved, self._prior.pivot)
         rest = item.entries.reshape(-1, len(moved)) @ moved - item.rhs
         linear = float(rest @ rest) + item.apart
         return abs(2.0 * item.factor.error(values) - linear) > AGREEMENT * (1.0 + error)
@@ -268,9 +277,17 @@ class SharedProblem(Problem):
         if known is None:
             jacobian = factor.linearize(self.values)
             keys, rows = tuple(jacobian.keys()), jacobian.augmentedJacobian()
+            entries, rhs = rows[:, :-1], rows[:, -1].copy()
+            # The step of a velocity turns with its pose.
+            poses = (pose_key(cluster_of(key)) for key in keys if kind_of(key) == 'v')
+            lacking = [key for key in poses if key not in keys and self.values.exists(key)]
+            if lacking:
+                keys = (*keys, *lacking)
+                entries = np.hstack([entries, np.zeros((len(rows), 6 * len(lacking)))])
+            pivot = self._prior.pivot
+            from_own_columns(entries, layout_of(keys), self.values, pivot, self._own_steps)
             self._add_columns(keys)
             columns = np.concatenate([self._columns[key] for key in keys] * len(rows))
-            entries, rhs = rows[:, :-1], rows[:, -1].copy()
             model = getattr(factor, 'noiseModel', lambda: None)()
             robust = isinstance(model, gtsam.noiseModel.Robust)
             known = _Linear(
@@ -337,7 +354,7 @@ def linear_system(
     prior: MarginalPrior, layout: Layout, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values
 ) -> System:
     """The prior and factors, linearised at ``values``."""
-    rows, rhs = linearised(layout, graph, values)
+    rows, rhs = linearised(layout, graph, values, prior.pivot)
     regularising = np.zeros(layout.size - prior.root.shape[1])
     total = np.zeros(layout.size)
     return System(PriorRows(prior.root), layout, rows, Rest(prior.rhs, regularising, rhs), total)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dpotrs
 
 from incremental_mapper.compiled import kernel
-from incremental_mapper.variables import kind_of
+from incremental_mapper.variables import cluster_of, kind_of, pose_key
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -27,14 +27,29 @@ DIMENSIONS = {'x': 6, 'v': 3, 'b': 6}
 """Numbers of a tangent step, by the kind of the variable: pose, velocity, bias."""
 
 
+@dataclass(frozen=True, slots=True)
+class VelocityPlace:
+    """A velocity that stands in a layout beside its pose, and where.
+
+    ``place`` is that of its step, ``turn`` that of the rotation of its pose.
+    """
+
+    key: int
+    pose_key: int
+    place: slice
+    turn: slice
+
+
 class Layout:
     """Where each variable's tangent step stands in a stacked vector."""
 
-    __slots__ = ('places', 'size')
+    __slots__ = ('_poses', '_velocities', 'places', 'size')
 
     def __init__(self, keys: Iterable[int]) -> None:
         self.places: dict[int, slice] = {}
         self.size = 0
+        self._poses: tuple[tuple[int, slice], ...] | None = None
+        self._velocities: tuple[VelocityPlace, ...] | None = None
         self.append(keys)
 
     def append(self, keys: Iterable[int]) -> None:
@@ -44,12 +59,37 @@ class Layout:
             if key not in places:
                 start, end = end, end + DIMENSIONS[kind_of(key)]
                 places[key] = slice(start, end)
-        self.size = end
+        if end != self.size:
+            self.size, self._poses, self._velocities = end, None, None
 
     @property
     def keys(self) -> tuple[int, ...]:
         """The variables in their order."""
         return tuple(self.places)
+
+    @property
+    def poses(self) -> tuple[tuple[int, slice], ...]:
+        """The poses among the variables, and where they stand."""
+        if self._poses is None:
+            self._poses = tuple(
+                (key, place) for key, place in self.places.items() if kind_of(key) == 'x'
+            )
+        return self._poses
+
+    @property
+    def velocities(self) -> tuple[VelocityPlace, ...]:
+        """The velocities whose poses are among the variables too."""
+        if self._velocities is None:
+            found = []
+            for key, place in self.places.items():
+                if kind_of(key) == 'v':
+                    pose = pose_key(cluster_of(key))
+                    at = self.places.get(pose)
+                    if at is not None:
+                        turn = slice(at.start, at.start + 3)
+                        found.append(VelocityPlace(key, pose, place, turn))
+            self._velocities = tuple(found)
+        return self._velocities
 
     def followed_by(self, keys: Iterable[int]) -> 'Layout':
         """The same with those of the ``keys`` behind that it lacks."""
@@ -208,16 +248,6 @@ class System:
         rhs = np.concatenate([rest.prior, rest.regularising, rest.factors])
         finite = np.isfinite(rhs) & np.isfinite(root).all(axis=1)
         return (root, rhs) if finite.all() else (root[finite], rhs[finite])
-
-
-def linearised(
-    layout: Layout, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values
-) -> tuple[Array, Array]:
-    """Whitened factors (r, n) and their right-hand sides (r,)."""
-    augmented = graph.linearize(values).augmentedJacobian()
-    rows = np.zeros((len(augmented), layout.size))
-    rows[:, layout.columns(graph.keyVector())] = augmented[:, :-1]
-    return rows, augmented[:, -1].copy()
 
 
 def best_step(

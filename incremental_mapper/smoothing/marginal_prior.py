@@ -14,8 +14,9 @@ import gtsam
 import numpy as np
 from scipy.linalg.lapack import dgeqrf, dtrtrs
 
-from incremental_mapper.smoothing.linear_system import Array, layout_of, solve_scaled
-from incremental_mapper.variables import cluster_of
+from incremental_mapper.smoothing.linear_system import Array, Layout, layout_of, solve_scaled
+from incremental_mapper.smoothing.tangent import move_pivot, to_base_rows, to_own_rows
+from incremental_mapper.variables import cluster_of, kind_of, pose_key
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,14 +24,16 @@ class MarginalPrior:
     """A Gaussian over the frontier, and the conditionals of what was eliminated lately.
 
     What G(t) says of a tangent step δ (n,) of the frontier is ‖root · δ − rhs‖², linear around the
-    newest estimates. Where the last solve converged, these are the mean, and ``rhs`` is zero up to
-    a constant.
+    newest estimates; steps are those about a pivot of ``tangent``. Where the last solve converged,
+    the estimates are the mean, and ``rhs`` is zero up to a constant.
 
     Attributes:
         keys: The frontier's variables.
         root: Square-root information (m, n).
         rhs: Right-hand side (m,).
-        eliminated: Variables that are no longer in the frontier and still move with it.
+        pivot: What the frontier's steps are about (3,), metres in the map.
+        eliminated: Variables that are no longer in the frontier and still move with it, by GTSAM's
+            steps.
         gains: How they move, (f, n): by gains · δ.
         base: The frontier's newest estimates, and those of eliminated variables without their
             pending delta: there are many of them, and few are asked for.
@@ -38,14 +41,15 @@ class MarginalPrior:
         clusters: The clusters in it with their stamps (ns).
         held: Variables that stay among the frontier and the eliminated, however old, until
             evidence on them has come; see ``correction``.
-        spread: Covariance (h, h) that they have where the frontier is known: they move with it by
-            ``gains``, and this is what is left.
+        spread: Covariance (h, h) of GTSAM's steps that they have where the frontier is known: they
+            move with it by ``gains``, and this is what is left.
         healthy: False where the last window could not be solved and stays at its initial values.
     """
 
     keys: tuple[int, ...] = ()
     root: Array = field(default_factory=lambda: np.zeros((0, 0)))
     rhs: Array = field(default_factory=lambda: np.zeros(0))
+    pivot: Array = field(default_factory=lambda: np.zeros(3))
     eliminated: tuple[int, ...] = ()
     gains: Array = field(default_factory=lambda: np.zeros((0, 0)))
     base: gtsam.Values = field(default_factory=gtsam.Values)
@@ -74,10 +78,10 @@ class MarginalPrior:
             keys: Of the frontier, or eliminated ones.
 
         Returns:
-            Gains (k, n), and the tangent steps (k,) that they have yet to make.
+            Gains (k, n) of GTSAM's steps, and those steps (k,) that they have yet to make.
         """
         inside, outside = layout_of(self.keys).places, layout_of(self.eliminated).places
-        unit = np.eye(self.root.shape[1])
+        unit = self.own_steps()
         gains = [unit[inside[key]] if key in inside else self.gains[outside[key]] for key in keys]
         still = np.zeros(0)
         steps = [
@@ -85,6 +89,13 @@ class MarginalPrior:
             for key, rows in zip(keys, gains, strict=True)
         ]
         return np.vstack([unit[:0], *gains]), np.concatenate([still, *steps])
+
+    def own_steps(self) -> Array:
+        """The matrix (n, n) that makes GTSAM's steps of the frontier of those about the pivot."""
+        layout = layout_of(self.keys)
+        matrix = np.eye(layout.size)
+        to_own_rows(matrix, layout, self.base, self.pivot)
+        return matrix
 
     def _moved(self, keys: tuple[int, ...], step: Array) -> gtsam.Values:
         return self.base.extract(keys).retract(layout_of(keys).vector_values(step))
@@ -96,15 +107,23 @@ class MarginalPrior:
             keys: Some of ``self.keys``.
 
         Returns:
-            Covariance (d, d) in the variables' tangent spaces, in the order of ``keys``, for poses
-            rotation first; None where it is undetermined.
+            Covariance (d, d) in the order of ``keys``: along the axes of base_link, poses rotation
+            first; of velocities that stand alone, along those of the map. None where it is
+            undetermined.
         """
         layout = layout_of(self.keys)
         columns = layout.columns(keys)
         unit = np.zeros((layout.size, len(columns)))
         unit[columns, np.arange(len(columns))] = 1.0
         solution = solve_scaled(self.root.T @ self.root, unit)
-        return None if solution is None else solution[columns]
+        if solution is None:
+            return None
+        to_base_rows(solution, layout, self.base, self.pivot)
+        half = solution[columns].T.copy()
+        joint = np.zeros((layout.size, len(columns)))
+        joint[columns] = half
+        to_base_rows(joint, layout, self.base, self.pivot)
+        return joint[columns]
 
 
 def marginalise(
@@ -114,16 +133,17 @@ def marginalise(
 
     Args:
         prior: The prior so far.
-        keep: Variables that stay in the frontier; those that it does not have are ignored.
+        keep: Variables that stay in the frontier, and with a velocity its pose; those that it
+            does not have are ignored.
         oldest: Stamp (ns) of the oldest clusters whose eliminated variables still move.
 
     Returns:
         The smaller prior, and the final values of variables that are let go: those of older
         clusters of which nothing is kept.
     """
-    layout = layout_of(prior.keys)
-    kept = tuple(key for key in prior.keys if key in keep)
-    dropped = tuple(key for key in prior.keys if key not in keep)
+    layout, wanted_keys = layout_of(prior.keys), with_poses(keep)
+    kept = tuple(key for key in prior.keys if key in wanted_keys)
+    dropped = tuple(key for key in prior.keys if key not in wanted_keys)
     wanted = {cluster_of(key) for key in kept}
     first, last = layout.columns(dropped), layout.columns(kept)
     reduced, rest = triangle(prior.root[:, np.concatenate([first, last])], prior.rhs)
@@ -133,7 +153,7 @@ def marginalise(
     solved = np.column_stack([-reduced[:count, count:], rest[:count]])
     if count:
         solved, _ = dtrtrs(reduced[:count, :count], solved)
-    moves = np.vstack([prior.gains[:, first] @ solved, solved])
+    moves = np.vstack([prior.gains[:, first] @ solved, _own(solved, prior, dropped, kept)])
     spread = prior.spread
     if prior.held and count:
         # What is dropped is not known exactly where the rest is, and the held ones move with it.
@@ -144,10 +164,15 @@ def marginalise(
     gains[: len(prior.gains)] += prior.gains[:, last]
     pending_delta[: len(prior.pending_delta)] += prior.pending_delta
     eliminated = (*prior.eliminated, *dropped)
+    root, left = reduced[count:, count:].copy(), layout_of(kept)
+    pivot = pivot_of(left, prior.base, prior.pivot)
+    for rows in (root, gains):
+        move_pivot(rows, left, pivot - prior.pivot)
     smaller = MarginalPrior(
         keys=kept,
-        root=reduced[count:, count:],
+        root=root,
         rhs=rest[count:],
+        pivot=pivot,
         eliminated=eliminated,
         gains=gains,
         base=prior.base,
@@ -167,8 +192,33 @@ def marginalise(
         return smaller, gtsam.Values()
     gone = trimmed(smaller, {key for key in eliminated if cluster_of(key) in old})
     stays = trimmed(smaller, {key for key in eliminated if cluster_of(key) not in old})
-    left = {cluster: stamp for cluster, stamp in prior.clusters.items() if cluster not in old}
-    return replace(stays, clusters=left), gone.values.extract(gone.eliminated)
+    newer = {cluster: stamp for cluster, stamp in prior.clusters.items() if cluster not in old}
+    return replace(stays, clusters=newer), gone.values.extract(gone.eliminated)
+
+
+def with_poses(keys: Collection[int]) -> frozenset[int]:
+    """Variables, and the poses of the velocities among them, which turn with those."""
+    poses = (pose_key(cluster_of(key)) for key in keys if kind_of(key) == 'v')
+    return frozenset((*keys, *poses))
+
+
+def pivot_of(layout: Layout, values: gtsam.Values, before: Array) -> Array:
+    """Where the newest of some poses is (3,), which is near them all; ``before`` without any."""
+    if not layout.poses:
+        return before
+    newest = max((key for key, _ in layout.poses), key=cluster_of)
+    place: Array = values.atPose3(newest).translation()
+    return place
+
+
+def _own(
+    steps: Array, prior: MarginalPrior, dropped: tuple[int, ...], kept: tuple[int, ...]
+) -> Array:
+    """Steps (f, k + 1) of dropped variables, with unit steps of the kept ones, as GTSAM's."""
+    layout, count = Layout(dropped + kept), len(steps)
+    moves = np.vstack([steps, np.eye(layout.size - count, steps.shape[1])])
+    to_own_rows(moves, layout, prior.base, prior.pivot)
+    return moves[:count]
 
 
 def trimmed(prior: MarginalPrior, eliminated: Collection[int]) -> MarginalPrior:

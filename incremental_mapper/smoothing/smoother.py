@@ -9,7 +9,13 @@ import numpy as np
 from incremental_mapper.smoothing.batch import eliminate, make_graph
 from incremental_mapper.smoothing.gauss_newton import Problem, Solved, linear_system
 from incremental_mapper.smoothing.linear_system import Layout, System
-from incremental_mapper.smoothing.marginal_prior import MarginalPrior, triangle
+from incremental_mapper.smoothing.marginal_prior import (
+    MarginalPrior,
+    pivot_of,
+    triangle,
+    with_poses,
+)
+from incremental_mapper.smoothing.tangent import from_own_columns
 from incremental_mapper.variables import cluster_of, copy_value
 
 
@@ -83,6 +89,7 @@ def _larger(
         keys=keys,
         root=root,
         rhs=rhs,
+        pivot=prior.pivot,
         eliminated=prior.eliminated,
         gains=np.hstack([prior.gains, np.zeros((len(prior.gains), new))]),
         base=base,
@@ -114,13 +121,15 @@ def marginal_prior_of(
     Returns:
         The prior, and the values of what lies before it.
     """
-    kept = sorted(set(keep) & set(values.keys()), key=lambda key: (cluster_of(key), key))
+    present = with_poses(keep) & set(values.keys())
+    kept = sorted(present, key=lambda key: (cluster_of(key), key))
     wanted = {cluster_of(key) for key in kept}
     newer = {c for c, stamp in clusters.items() if stamp >= oldest or c in wanted}
     dropped = sorted(set(values.keys()) - set(kept), key=cluster_of)
     split = eliminate(make_graph(factors), values, dropped)
     layout = Layout(kept)
-    system = linear_system(MarginalPrior(), layout, make_graph(split.factors), values)
+    pivot = pivot_of(layout, values, np.zeros(3))
+    system = linear_system(MarginalPrior(pivot=pivot), layout, make_graph(split.factors), values)
     root, rhs = triangle(*system.stacked())
     eliminated = tuple(key for key in dropped if cluster_of(key) in newer)
     eliminated_layout = Layout(eliminated)
@@ -132,12 +141,14 @@ def marginal_prior_of(
         moved = split.conditional.optimize(layout.vector_values(unit))
         for key, place in eliminated_layout.places.items():
             gains[place, column] = moved.at(key) - at_rest.at(key)
+    from_own_columns(gains, layout, values, pivot)
     inside = [key for key in values.keys() if cluster_of(key) in newer]  # noqa: SIM118
     gone = [key for key in values.keys() if cluster_of(key) not in newer]  # noqa: SIM118
     prior = MarginalPrior(
         keys=layout.keys,
         root=root,
         rhs=rhs,
+        pivot=pivot,
         eliminated=eliminated,
         gains=gains,
         base=values.extract(inside),
