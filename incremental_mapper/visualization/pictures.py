@@ -131,14 +131,17 @@ def trajectory_figure(
     theme, figure = look.theme, new_figure(look)
     axes = figure.add_axes(_place(look))
     if len(reference) > 0:
-        axes.plot(reference[:, 0], reference[:, 1], color=theme.truth, linewidth=7, label='truth')
+        axes.plot(
+            reference[:, 0], reference[:, 1], color=theme.truth, linewidth=7, label='truth',
+            solid_capstyle='butt',
+        )  # fmt: skip
     if len(fixes) > 0:
         axes.scatter(
             fixes[:, 0], fixes[:, 1], s=50, marker='x', color=theme.vermillion, linewidths=1.8,
-            zorder=5, label=f'GNSS positions used ({len(fixes)})',
+            zorder=5, label=f'fixes used ({len(fixes)})',
         )  # fmt: skip
     for number, (first, second) in enumerate(closures):
-        label = '' if number else f'loops closed ({len(closures)})'
+        label = '' if number else f'loops ({len(closures)})'
         ends = [first[0], second[0]], [first[1], second[1]]
         axes.plot(*ends, color=theme.purple, linewidth=1.8, zorder=3, label=label)
     label = f'estimate ({len(estimate)} poses)'

@@ -94,7 +94,8 @@ def _tiles(stats: Mapping[str, Any]) -> list[Tile]:
         )
     )
     place = 'east, north, up' if stats['georeferenced'] else 'in a frame of its own'
-    made.append(Tile(f'{stats["map_points"] / 1e6:.2f} M', 'points of the map', place))
+    points = f'{stats["map_points"]:,}'.replace(',', '\N{NO-BREAK SPACE}')
+    made.append(Tile(points, 'points of the map', place))
     factor = f'{stats["real_time_factor"]:.1f}'
     made.append(Tile(factor, 'real-time factor', f'mapped in {stats["wall_s"]:.1f} s'))
     return made
