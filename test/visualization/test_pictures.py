@@ -60,7 +60,7 @@ def test_loops_that_are_closed_are_drawn_between_their_poses():
     ends = closure_ends(graph)
     assert ends.shape == (1, 2, 3) and ends[0, 0].tolist() == [0.0, 0.0, 0.0]
     figure = trajectory_figure(drive(), None, NO_FIXES, Look(), closures=ends)
-    (line,) = [one for one in figure.axes[0].lines if one.get_label() == 'loops closed (1)']
+    (line,) = [one for one in figure.axes[0].lines if one.get_label() == 'loops (1)']
     assert line.get_xydata().tolist() == ends[0, :, :2].tolist()
     # In the picture of a stretch of the graph its other end lies outside.
     start = min(item['stamp_ns'] for item in graph['clusters'])
