@@ -242,7 +242,7 @@ class MapperNode:
     def _on_measurement(self, measurement: Measurement, frame: str) -> None:
         if self._watch.take(measurement, frame):
             if self._predicted is not None:
-                self._predicted.take(measurement)
+                self._predicted.take(self._worker.jumps.moved(measurement))
             self._extrinsics.take(measurement, frame)
 
     def _outside_drops(self) -> Drops:

@@ -155,6 +155,16 @@ class JumpFilter:
         """Forget all stamps; the counts stay."""
         self._sensors, self.steps = {}, {}
 
+    def moved(self, measurement: Measurement) -> Measurement:
+        """A measurement with the stamp that it is mapped with by now; any thread may ask.
+
+        Args:
+            measurement: Of a sensor whose clock may have stepped.
+        """
+        sensor = self._sensors.get(measurement.sensor)
+        shift = 0 if sensor is None else sensor.shift
+        return replace(measurement, stamp=measurement.stamp - shift) if shift else measurement
+
     def forget(self, sensors: Collection[str]) -> None:
         """Take some sensors for new ones: their stamps are others from now on.
 
@@ -262,7 +272,7 @@ class JumpFilter:
         self, sensor: _Sensor, measurement: Measurement, others: int | None
     ) -> Measurement:
         """A measurement of a sensor whose clock stepped, as if it had not, unless it came back."""
-        moved = replace(measurement, stamp=measurement.stamp - sensor.shift)
+        moved = self.moved(measurement)
         if others is None:
             return moved
         # Its own stamps go on either way where the step was hardly larger than its period.

@@ -215,6 +215,8 @@ def test_a_sensor_whose_clock_steps_for_good_is_realigned_as_its_period_says():
         assert not begun
         assert jumps.steps[sensor].size / SECOND == pytest.approx(-12.0, abs=0.1 / RATES[sensor])
         late = [item for item in passed if item.sensor == sensor]
+        last = [item for item in sent if item.sensor == sensor][-1]
+        assert jumps.moved(last).stamp == late[-1].stamp != last.stamp
         assert len(late) > 0.85 * sum(item.sensor == sensor for item in sent)
         assert late[-1].stamp == pytest.approx(START + 60 * SECOND, abs=1.2 * SECOND)
         assert balanced(jumps, sent, passed)
