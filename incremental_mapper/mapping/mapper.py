@@ -136,6 +136,7 @@ class Mapper:
             self._strategy.warm_up()
         self._parameters = preintegration_parameters(config.preintegration, config.imu.matrix())
         self._series, self._gate = EMPTY_SERIES, ImuGate()
+        self._around = EMPTY_SERIES  # samples before and behind the newest cluster
         self._orientation: NDArray[np.float64] | None = None
         self._carried: list[Prepared] = []
         self._state = GraphState(store=store, recent=recent_scans(config.mom.submap_scans))
@@ -277,7 +278,7 @@ class Mapper:
 
     def newest(self) -> NewestState | None:
         """Newest pose with covariance and twist, None before the first window; constant cost."""
-        return newest_state(self._state, self._series, self.config)
+        return newest_state(self._state, self._around, self.config)
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -449,7 +450,7 @@ class Mapper:
         self._totals.solver_failures += int(not self._state.prior.healthy)
         self._georeference()
         # Samples after the last cluster stamp belong to the next window.
-        frontier = self._state.frontier
+        frontier, self._around = self._state.frontier, self._series
         self._series = self._series.since(min(frontier.head_stamp, frontier.newest_stamp))
         self._watch.grown(self._state)
 

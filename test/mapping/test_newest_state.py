@@ -7,8 +7,12 @@ import numpy as np
 import pytest
 from turning_car import MS, SPEED, TURN, imu_series, known_state, settings, truth, velocity
 
+from incremental_mapper.datasets.open import open_source
 from incremental_mapper.frontend.imu_preintegration import EMPTY_SERIES
+from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.mapping.newest_state import newest_state
+from incremental_mapper.measurements import ImuSample
+from incremental_mapper.results.offline_run import effective_config
 from incremental_mapper.smoothing.graph_state import GraphState
 
 SERIES = imu_series(-20 * MS, 20 * MS)
@@ -68,3 +72,26 @@ def test_without_a_sample_near_the_rate_is_unknown(series):
 
 def test_without_a_velocity_in_the_graph_its_covariance_is_unknown():
     assert newest_state(known_state(False), SERIES, settings()).velocity_covariance is None
+
+
+def test_the_rate_is_known_where_a_window_ends_with_its_newest_scan(light_drive):
+    """The newest sample is then the one before it, and no span of the next window begins there."""
+    tree = {'selection': {'strategy': 'min_time_shift'}, 'odometry': {'method': 'gicp'}}
+    source = open_source(light_drive, tree)
+    config = effective_config(source, tree, 'test')
+    measurements = list(source.measurements())
+
+    def run(left_out):
+        mapper, found = Mapper(config, list(source.info.counts)), []
+        for item in measurements:
+            inertial = isinstance(item, ImuSample)
+            if not (inertial and any(a <= item.stamp < b for a, b in left_out)):
+                found += [
+                    (window.end, mapper.newest()) for window in mapper.push(item) if window.clusters
+                ]
+        return found
+
+    ends = [(newest.stamp, end) for end, newest in run([])]
+    found = run(ends)
+    assert len(found) > 10
+    assert all(newest.rate is not None for _, newest in found)
