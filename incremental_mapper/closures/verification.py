@@ -20,6 +20,10 @@ NEIGHBOURS = 15
 """Points that tell a surface."""
 REACHES = (4.0, 1.5)
 """Largest distances of a correspondence, metres, one registration after the other."""
+FINE = (0.5, 0.3)
+"""The same of the last ones, by the distance of each point to the plane that it is matched to."""
+SURE, LEAST_REACH = 3.0, 0.5
+"""Standard deviations of what is known that are looked through, and metres at the least."""
 SAME_TRANSLATION, SAME_ROTATION = 0.3, 0.01
 """Metres and radians within which registering the other way round must lead back."""
 NEAR = 0.3
@@ -85,16 +89,15 @@ class Verifier:
         if known is not None and _distance(known, pose, GUESS) > IMPROBABLE:
             return 'improbable'
         first, second = self._ready(candidate.first), self._ready(candidate.second)
-        result = None
-        for reach in REACHES:
-            result = _align(first.scan, second.scan, pose, reach)
-            if not np.isfinite(np.asarray(result.T_target_source)).all():
-                return 'no_match'
-            pose = gtsam.Pose3(np.asarray(result.T_target_source))
-        assert result is not None
+        reaches = _reaches(known)
+        matched = _matched(first.scan, second.scan, pose, reaches)
+        if matched is None:
+            return 'no_match'
+        pose = matched
         overlap = _overlap(first, second, pose)
         if overlap < self._settings.min_overlap:
             return 'no_overlap'
+        result = _align(first.scan, second.scan, pose, reaches[-1], iterations=1)
         covariance = match_covariance(result, second.scan.cloud, self._odometry)
         floor = np.diag(
             np.square([self._settings.floor_rotation] * 3 + [self._settings.floor_translation] * 3)
@@ -103,8 +106,8 @@ class Verifier:
         found = Closure(candidate.first, candidate.second, pose, covariance, overlap)
         if not probable(found, known):
             return 'improbable'
-        back = _align(second.scan, first.scan, pose.inverse(), REACHES[-1])
-        if not _same(gtsam.Pose3(np.asarray(back.T_target_source)).inverse(), pose):
+        back = _matched(second.scan, first.scan, pose.inverse(), reaches[-1:])
+        if back is None or not _same(back.inverse(), pose):
             return 'one_way'
         return found
 
@@ -136,17 +139,47 @@ def probable(closure: Closure, known: Known | None) -> bool:
     return _distance(known, closure.T_first_second, closure.covariance) <= IMPROBABLE
 
 
+def _reaches(known: Known | None) -> tuple[float, ...]:
+    """Where to look for correspondences: no further than what is known may be off.
+
+    Two local maps that share little are else drawn over each other, since GICP holds points along
+    their planes, too, if weakly.
+    """
+    if known is None:
+        return REACHES
+    off = SURE * float(np.sqrt(UNCERTAIN * np.linalg.eigvalsh(known.covariance[3:, 3:])[-1]))
+    return tuple(min(reach, max(off, LEAST_REACH)) for reach in REACHES)
+
+
+def _matched(
+    target: ScanCloud, source: ScanCloud, guess: gtsam.Pose3, reaches: Sequence[float]
+) -> gtsam.Pose3 | None:
+    """T_target_source by GICP, and then by distances to planes alone; None where they fail."""
+    stages = [('GICP', reach) for reach in reaches] + [('PLANE_ICP', reach) for reach in FINE]
+    for kind, reach in stages:
+        found = np.asarray(_align(target, source, guess, reach, kind).T_target_source)
+        if not np.isfinite(found).all():
+            return None
+        guess = gtsam.Pose3(found)
+    return guess
+
+
 def _align(
-    target: ScanCloud, source: ScanCloud, guess: gtsam.Pose3, reach: float
+    target: ScanCloud,
+    source: ScanCloud,
+    guess: gtsam.Pose3,
+    reach: float,
+    kind: str = 'GICP',
+    iterations: int = 30,
 ) -> small_gicp.RegistrationResult:
     return small_gicp.align(
         target.cloud,
         source.cloud,
         target.tree,
         init_T_target_source=guess.matrix(),
-        registration_type='GICP',
+        registration_type=kind,
         max_correspondence_distance=reach,
-        max_iterations=30,
+        max_iterations=iterations,
         rotation_epsilon=0.001,
         translation_epsilon=0.005,
     )

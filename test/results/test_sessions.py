@@ -1,6 +1,7 @@
 """Sessions: a saved map is read back as it was, and what goes on from it is one map."""
 
 import json
+import re
 import shutil
 import sys
 from dataclasses import replace
@@ -9,6 +10,7 @@ import gtsam
 import numpy as np
 import pytest
 from drive_edits import LATER, driven_later
+from test_journal import Mapped
 
 from incremental_mapper.cli.main import main
 from incremental_mapper.errors import ConfigError, InputError
@@ -17,6 +19,7 @@ from incremental_mapper.graph.factors import FactorKind, closure_factor
 from incremental_mapper.map.store import MemoryStore
 from incremental_mapper.measurements import GnssFix
 from incremental_mapper.results.graph_json import compare_graphs, graph_tree
+from incremental_mapper.results.journal.recovered_folder import recover_journal
 from incremental_mapper.results.manifest import Manifest
 from incremental_mapper.results.run_folder import FinishedRun
 from incremental_mapper.results.run_statistics import InputFacts
@@ -26,6 +29,7 @@ from incremental_mapper.results.sessions.merging import merge, read_fleet
 from incremental_mapper.results.sessions.saved_run import read_saved_run
 from incremental_mapper.results.sessions.session_file import FILE
 from incremental_mapper.settings import make_config
+from incremental_mapper.settings import merge as settings_merged
 from incremental_mapper.variables import pose_key
 
 QUICK = 'selection: {strategy: min_time_shift}\nodometry: {processes: false}\n'
@@ -272,3 +276,38 @@ def test_runs_that_cannot_be_related_are_refused(two, copy):
         forge(copy, 'stats.json', json.dumps(changed).encode())
         with pytest.raises(InputError, match=word):
             read_fleet([first, copy])
+
+
+def test_fixes_that_contradict_what_both_show_are_an_error(two):
+    settings = make_config({})
+    earlier = earlier_map(two[0], settings.map)
+    part = earlier.run.result
+    # As by a receiver with another reference station: the whole session, fixes and all, 2 m off.
+    aside = turned(part, gtsam.Pose3(gtsam.Rot3(), np.array([1.2, 1.6, 0.0])), settings)
+    whole = earlier.map_of_both(aside, settings, InputFacts('here', 'test', {}))
+    (found,) = [one for one in whole.result.findings if one.rule == 'sessions_disagree']
+    metres = float(re.search(r'lies ([\d.]+) m apart', found.text)[1])
+    assert found.severity == 'error' and metres == pytest.approx(2.0, abs=0.2)
+    assert whole.result.sessions[1].joined_by == 'fixes'
+
+
+def test_a_session_that_was_cut_off_is_recovered_with_the_one_before(two, copy, tmp_path):
+    later = two[0].parent / 'later'
+    earlier = earlier_map(copy, make_config({}).map)
+    tree = settings_merged({'session': {'continue': str(copy)}}, earlier.settings)
+    mapped = Mapped(later, tmp_path / 'journals', tree)
+    path = tmp_path / 'cut.journal'
+    # The power goes while the last window is written.
+    path.write_bytes(mapped.journal.path.read_bytes()[: mapped.sizes[-2] + 10])
+    run = recover_journal(path, tmp_path / 'map', pictures=False)
+    stats, before = FinishedRun(run.folder).stats, FinishedRun(copy).stats
+    assert stats['components'] == 1 and stats['interrupted']
+    assert stats['sessions'][0]['clusters'] == before['clusters']
+    assert stats['sessions'][1]['windows'] == len(mapped.sizes) - 1
+    assert stats['datum'] == before['datum']
+    # Without the map before there is the session alone, in the frame of both.
+    shutil.rmtree(copy)
+    alone = FinishedRun(recover_journal(path, tmp_path / 'alone', pictures=False).folder)
+    assert [one['rule'] for one in alone.stats['warnings']].count('session_lost') == 1
+    assert alone.stats['clusters'] == stats['clusters'] - before['clusters']
+    assert alone.stats['datum'] == before['datum']

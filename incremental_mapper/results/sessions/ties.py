@@ -30,8 +30,11 @@ SHORTER, NEARER = 0.25, 0.5
 """Local maps of sessions are so much smaller than those of loops, in way and range: where one
 session begins as another ends, they share little way and hardly any points far ahead, and yet a
 closure must be confirmed by another one."""
-LESS_OVERLAP = 0.8
-"""There, what both show is less; the fixes confirm it besides."""
+LESS_OVERLAP = 0.5
+"""There, what both show is less: one sees the fronts of things, and the other one their backs. The
+fixes confirm it besides."""
+UNCONFIRMED_OVERLAP = 0.8
+"""The same where the fixes are not believed."""
 CANDIDATES = 2
 """Local maps of the other session that one is compared with, at most: they lie four times as dense
 as those of loops."""
@@ -129,7 +132,8 @@ def find_ties(first: MapResult, second: MapResult, config: Config) -> Ties:
     )
     apart = 0.0
     if found.refused['improbable'] > len(ties):
-        apart = _apart(maps, finer, config)
+        update = {'min_overlap': UNCONFIRMED_OVERLAP * settings.min_overlap}
+        apart = _apart(maps, finer.model_copy(update=update), config)
     return Ties(ties, found.candidates, apart)
 
 
@@ -205,7 +209,8 @@ def _near(
     steps = np.linalg.norm(np.diff(way, axis=0), axis=1)
     travelled = np.append(0.0, np.cumsum(steps))
     centres = np.arange(0.5 * settings.map_length, travelled[-1], settings.map_length)
-    all_middles = sorted({int(np.abs(travelled - centre).argmin()) for centre in centres})
+    ends = {0, len(way) - 1}
+    all_middles = sorted({*ends, *(int(np.abs(travelled - centre).argmin()) for centre in centres)})
     far = settings.radius + settings.map_length
     apart = KDTree(others[:, :2]).query(way[:, :2], distance_upper_bound=far)[0]
     middles = [middle for middle in all_middles if apart[middle] <= far]
@@ -218,7 +223,9 @@ def _near(
     for middle in middles:
         placed = own.clusters[middle]
         pose = own.values.atPose3(pose_key(placed.id))
-        around = tree.query_ball_point(way[middle][:2], settings.max_range)
+        # Where a session ends and another begins, each sees the other's way from its end alone.
+        reach = settings.max_range / (NEARER if middle in ends else 1.0)
+        around = tree.query_ball_point(way[middle][:2], reach)
         seen = transform_points(pose.inverse().matrix(), points[around]).astype(np.float32)
         stamp = placed.cluster.stamp
         made.append(LocalMap(placed.id, stamp, pose, float(travelled[middle]), seen, run))
