@@ -154,3 +154,20 @@ def test_places_are_recognised_wherever_they_are_thought_to_lie():
     (found,) = by_looks(lost, SETTINGS)
     off = gtsam.Pose3.Logmap(moved.between(found.T_first_second))
     assert np.abs(off[3:5]).max() < 2.0 and abs(off[2]) < 0.05
+
+
+def test_maps_that_share_a_strip_are_not_drawn_over_each_other():
+    # As where one session ends and another begins: each has what lies to its side.
+    first, second = pose(0.0, 0.0), pose(8.0, 0.5)
+    one = seen(TOWN, first, 1)
+    other = seen(TOWN, second, 2, second.compose(pose(0.35, -0.1)), run=1)
+    sides = [
+        replace(one, points=one.points[one.points[:, 0] < 7.0]),
+        replace(other, points=other.points[other.points[:, 0] > -7.0]),
+    ]
+    fixes = known(sides, 0, 1, np.diag(np.square([0.01] * 3 + [0.2] * 3)))
+    settings = SETTINGS.model_copy(update={'min_overlap': 0.0})
+    candidate = Candidate(0, 1, fixes.T_first_second)
+    found = Verifier(sides, settings, ODOMETRY).verify(candidate, fixes)
+    off = gtsam.Pose3.Logmap(first.between(second).between(found.T_first_second))
+    assert np.linalg.norm(off[3:5]) < 0.03
