@@ -16,6 +16,7 @@ import os
 import re
 import subprocess
 import tempfile
+import time
 import venv
 from pathlib import Path
 from typing import Any
@@ -38,15 +39,8 @@ READER, READING = 'evalio_reader', 'reading'
 """Module and pipeline that do nothing with what they are given."""
 PATIENCE = 600
 """Seconds that one run may take."""
-WATCHED = """
-import os, resource, sys
-status = os.spawnvp(os.P_WAIT, sys.argv[2], sys.argv[2:])
-with open(sys.argv[1], 'w') as file:
-    file.write(f'{resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss}')
-sys.exit(status)
-"""
-"""Runs a command and tells the peak of its memory, kB. Linux counts what the parent of a process
-held when it was started as its own, so the parent must be small."""
+LOOK = 0.05
+"""Seconds between two looks at the memory of a run."""
 
 
 def environment(cache: Path) -> Path:
@@ -78,15 +72,33 @@ def run(
         'EVALIO_MAPPER_INPUTS': f'{name}={place}',
         'EVALIO_DATA': str(out),
     }
-    peak = out / 'peak.txt'
+    peak = 0.0
     with tempfile.TemporaryFile('w+') as said:
-        words = [str(programs / 'python'), '-S', '-c', WATCHED, str(peak)]
-        words += ['timeout', str(PATIENCE), str(programs / 'evalio'), 'run', '-c', str(config)]
-        done = subprocess.run(words, stdout=said, stderr=said, env=surroundings, cwd=out)
+        words = ['timeout', str(PATIENCE), str(programs / 'evalio'), 'run', '-c', str(config)]
+        process = subprocess.Popen(words, stdout=said, stderr=said, env=surroundings, cwd=out)
+        while process.poll() is None:
+            peak = max(peak, inner_peak(process.pid))
+            time.sleep(LOOK)
         said.seek(0)
         lines = [line.strip() for line in said.read().splitlines() if line.strip()]
-    last = (lines or [f'status {done.returncode}'])[-1]
-    return last, int(peak.read_text(encoding='utf-8')) / 1024
+    return (lines or [f'status {process.returncode}'])[-1], peak
+
+
+def inner_peak(process: int) -> float:
+    """Peak so far of the memory, MB, of the process that evalio forks for a pipeline.
+
+    evalio itself has read the input by then, and has the larger peak whatever it runs. It stands
+    below ``timeout``, which is the one given.
+    """
+    try:
+        for _ in range(2):
+            children = Path(f'/proc/{process}/task/{process}/children').read_text(encoding='utf-8')
+            process = int(children.split()[-1])
+        status = Path(f'/proc/{process}/status').read_text(encoding='utf-8')
+    except (OSError, IndexError):
+        return 0.0  # not there yet, or not any more
+    found = re.search(r'VmHWM:\s*(\d+) kB', status)
+    return 0.0 if found is None else int(found[1]) / 1024
 
 
 def read(file: Path) -> tuple[dict[str, str], Trajectory | None]:

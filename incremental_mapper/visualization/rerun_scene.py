@@ -68,6 +68,7 @@ class RerunScene:
         """
         self._rr = rr = load_rerun()
         self._turns = 0
+        self._filled: set[str] = set()  # parts of the graph that show something
         self._stream = rr.RecordingStream(APPLICATION)
         blueprint = _blueprint()
         if save is not None:
@@ -143,17 +144,25 @@ class RerunScene:
             add: Add it to those before instead.
         """
         rr, place = self._rr, WHOLE_GRAPH if add else GRAPH
-        self._log(f'{place}/poses', rr.Points3D(poses, colors=[_bytes(POSE_COLOUR)], radii=[0.12]))
+        shown = rr.Points3D(poses, colors=[_bytes(POSE_COLOUR)], radii=[0.12])
+        self._part(f'{place}/poses', len(poses), shown)
         boxes = rr.Boxes3D(
             centers=merged, half_sizes=[(0.35, 0.35, 0.25)], colors=[_bytes(CLUSTER_COLOUR)]
         )
-        self._log(f'{place}/clusters', boxes)
+        self._part(f'{place}/clusters', len(merged), boxes)
         priors_shown = rr.Points3D(priors, colors=[_bytes(PRIOR_COLOUR)], radii=[0.3])
-        self._log(f'{place}/priors', priors_shown)
+        self._part(f'{place}/priors', len(priors), priors_shown)
         for kind in FACTOR_COLOURS:
             ends = edges.get(kind, np.zeros((0, 2, 3)))
-            lines = rr.LineStrips3D(ends, colors=[_bytes(FACTOR_COLOURS[kind])], radii=[0.04])
-            self._log(f'{place}/{kind}', lines)
+            if len(ends) or f'{place}/{kind}' in self._filled:
+                lines = rr.LineStrips3D(ends, colors=[_bytes(FACTOR_COLOURS[kind])], radii=[0.04])
+                self._part(f'{place}/{kind}', len(ends), lines)
+
+    def _part(self, place: str, count: int, what: Any) -> None:
+        """Show a part of the graph; what was empty and still is costs the mapping nothing."""
+        if count or place in self._filled:
+            self._log(place, what)
+        (self._filled.add if count else self._filled.discard)(place)
 
     def fixes(self, positions: NDArray[np.float64], covariances: NDArray[np.float64]) -> None:
         """Add fixes with their ellipsoids of three standard deviations.
