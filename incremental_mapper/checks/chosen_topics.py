@@ -1,4 +1,4 @@
-"""Topics that the settings name, and a recording lacks."""
+"""Topics that a recording lacks, or has under a type that is not read."""
 
 from collections.abc import Sequence
 
@@ -22,4 +22,23 @@ def missing_topic(sensor: str, key: str, topic: str, others: Sequence[str]) -> F
         sensor,
         f'{key} is {topic!r}, which the recording has not; mapped without it',
         remedy,
+    )
+
+
+def vendor_message(sensor: str, topic: str, kind: str, maker: str, standard: str) -> Finding:
+    """A sensor is there, but no message of it is of the standard type.
+
+    Args:
+        sensor: Whose messages they are.
+        topic: Where they come.
+        kind: Their type.
+        maker: What makes the standard type of them.
+        standard: Its name.
+    """
+    return Finding(
+        'vendor_message',
+        Severity.WARNING,
+        sensor,
+        f'{topic} has {kind}, which is not read, and no topic has {standard}; mapped without it',
+        f'{maker} makes {standard} of it: record that',
     )

@@ -6,7 +6,12 @@ from incremental_mapper.checks.finding import Finding, Severity
 
 
 def nobody_publishes(
-    sensor: str, key: str, topic: str, others: Sequence[str], converters: Mapping[str, str]
+    sensor: str,
+    key: str,
+    topic: str,
+    others: Sequence[str],
+    converters: Mapping[str, str],
+    standard: str,
 ) -> list[Finding]:
     """Nobody publishes what a sensor is expected on, and somebody what it could be.
 
@@ -15,7 +20,8 @@ def nobody_publishes(
         key: The setting, such as ``imu.topic``.
         topic: Where nobody publishes.
         others: Topics of the right type that somebody publishes, and nobody here listens to.
-        converters: What makes clouds of a vendor's messages that are published, by their topic.
+        converters: What makes messages that are read of a vendor's, by the topic of these.
+        standard: Name of the type that is read.
     """
     found = []
     if others:
@@ -36,7 +42,7 @@ def nobody_publishes(
                 sensor,
                 f"nobody publishes on {topic}; {name} has a vendor's own messages, which are not "
                 'read',
-                f'{converter} makes PointCloud2 of them',
+                f'{converter} makes {standard} of them',
             )
         )
     return found

@@ -37,6 +37,7 @@ from incremental_mapper.datasets.message_conversion import (
     scan_from_message,
 )
 from incremental_mapper.datasets.one_frame import OneFrame
+from incremental_mapper.datasets.receiver_look import look_at_receivers
 from incremental_mapper.datasets.remarks import Remarks
 from incremental_mapper.datasets.sampling import SamplePlan, SensorKind, SensorSample
 from incremental_mapper.datasets.sectors import NO_POINTS, SectorGatherer
@@ -45,6 +46,7 @@ from incremental_mapper.datasets.source import SourceInfo
 from incremental_mapper.datasets.static_transforms import STATIC_TOPIC, clean
 from incremental_mapper.datasets.topics import (
     CLOUDS,
+    FIX,
     IMU,
     MAP_FRAMES,
     FrameTopic,
@@ -104,6 +106,9 @@ class BagSource:
             several = len(imus) > 1 and not config.imu.topic
             gravity = config.preintegration.gravity
             unsound = look_at_imus(reader, imus, gravity) if several else {}
+            receivers = [topic for topic in self._topics if topic.type == FIX and topic.count]
+            if len(receivers) > 1 and not config.gnss.topic:
+                unsound |= look_at_receivers(reader, receivers, config.fixes)
             copies = copied_from(
                 {
                     name: look.topic()

@@ -4,13 +4,15 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from incremental_mapper.checks.chosen_topics import missing_topic
+from incremental_mapper.checks.chosen_topics import missing_topic, vendor_message
 from incremental_mapper.checks.finding import Finding
 from incremental_mapper.checks.imu_choice import other_imu
+from incremental_mapper.checks.receiver_choice import other_receiver
 from incremental_mapper.checks.sweeps import several_frames
 from incremental_mapper.config import Config, Sensor
 from incremental_mapper.datasets.bag_files import Topic, describe_topics
 from incremental_mapper.datasets.livox import LIVOX_TYPES
+from incremental_mapper.datasets.vendor_types import LIDAR_CONVERTERS, STANDARD, made_by
 from incremental_mapper.errors import InputError
 
 CLOUD = 'sensor_msgs/msg/PointCloud2'
@@ -23,23 +25,6 @@ TRUTH_TOPIC = '/ground_truth/odometry'
 
 MAP_FRAMES = ('map', 'odom', 'world', 'earth', 'camera_init')
 """Frames that stand still: clouds in them are maps, or scans that somebody has moved already."""
-
-CONVERTERS = {
-    'velodyne_msgs/msg/VelodyneScan': 'velodyne_pointcloud (velodyne_transform_node)',
-    'ouster_ros/msg/PacketMsg': 'ouster_ros (os_cloud)',
-    'ouster_sensor_msgs/msg/PacketMsg': 'ouster_ros (os_cloud)',
-    'ouster_msgs/msg/PacketMsg': 'ros2_ouster_drivers',
-    'hesai_ros_driver/msg/UdpFrame': 'hesai_ros_driver (source_type: rosbag packets)',
-    'hesai_lidar/msg/PandarScan': 'hesai_lidar (data_type: rosbag)',
-    'pandar_msgs/msg/PandarScan': 'nebula_ros',
-    'nebula_msgs/msg/NebulaPackets': 'nebula_ros',
-    'rslidar_msg/msg/RslidarPacket': 'rslidar_sdk (msg_source: 2)',
-    'rslidar_msgs/msg/RslidarScan': 'rslidar_sdk (msg_source: 2)',
-    'livox_ros_driver/msg/CustomMsg': 'livox_ros_driver (xfer_format: 0)',
-    'livox_ros_driver2/msg/CustomMsg': 'livox_ros_driver2 (xfer_format: 0)',
-    'livox_interfaces/msg/CustomMsg': 'livox_ros2_driver (xfer_format: 0)',
-}
-"""Types that LiDARs of a vendor have, and what makes clouds of them; bags with Livox's are read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +66,8 @@ def choose_topics(
         config: settings, which may name topics and LiDARs.
         frames: number of messages by frame_id of the cloud topics, where that is known; a topic
             with several is that of several LiDARs.
-        unsound: what is wrong with IMUs, by topic; they are taken only where there is no other.
+        unsound: what is wrong with IMUs and receivers, by topic; they are taken only where there
+            is no other.
         copies: cloud topics that are copies of another one, and of which.
 
     Returns:
@@ -92,10 +78,10 @@ def choose_topics(
             all; the message lists what the bag has.
     """
     notes = [
-        f'{topic.name}: {topic.type} is no cloud and is not read; {CONVERTERS[topic.type]} '
+        f'{topic.name}: {topic.type} is no cloud and is not read; {LIDAR_CONVERTERS[topic.type]} '
         'makes PointCloud2 of it (vendor_message)'
         for topic in topics
-        if topic.type in CONVERTERS and topic.type not in CLOUDS and topic.count
+        if topic.type in LIDAR_CONVERTERS and topic.type not in CLOUDS and topic.count
     ]
     findings: list[Finding] = []
     counts = frames or {}
@@ -246,11 +232,12 @@ def _named(
     if not found:
         of_kind = sorted({t.name for t in topics if t.type in kinds})
         findings.append(missing_topic(sensor, key, name, of_kind))
+        findings.extend(() if of_kind else _by_vendor(topics, sensor))
         return None
     if found[0].type not in kinds:
         raise InputError(
-            f'{path}: topic {name!r} ({key}) is {found[0].type}, expected {kinds[0]}. '
-            + describe_topics(topics)
+            f'{path}: topic {name!r} ({key}) is {found[0].type}, expected {kinds[0]}'
+            f'{_maker(found[0], sensor)}. ' + describe_topics(topics)
         )
     fitting = [t for t in found if isinstance(t, FrameTopic) and sensor.lower() in t.frame.lower()]
     return max(fitting or found, key=lambda topic: topic.count)
@@ -268,17 +255,37 @@ def _likeliest(
     found = [topic for topic in topics if topic.type == kind and topic.count]
     if not found:
         notes.append(f'{name}: no {kind} messages')
+        findings.extend(_by_vendor(topics, name))
         return None
     sound = [topic for topic in found if topic.name not in unsound]
     best = max(sound or found, key=lambda topic: topic.count)
     others = [topic for topic in found if topic is not best]
     passed = {topic.name: unsound[topic.name] for topic in others if topic.name in unsound}
     if sound and passed:
-        findings.append(other_imu(best.name, passed, [topic.name for topic in others]))
+        other = other_imu if kind == IMU else other_receiver
+        findings.append(other(best.name, passed, [topic.name for topic in others]))
     listed = ', '.join(topic.name for topic in others)
     more = f' has more messages than {listed}' if others and not (sound and passed) else ''
     notes.append(f'{name}: topic {best.name}{more}')
     return best
+
+
+def _by_vendor(topics: Sequence[Topic], sensor: str) -> list[Finding]:
+    """Messages of a sensor that is missing, under types that are not read."""
+    if sensor not in STANDARD:
+        return []
+    standard, makers = STANDARD[sensor]
+    return [
+        vendor_message(sensor, topic.name, topic.type, makers[topic.type], standard)
+        for topic in topics
+        if topic.count and topic.type in makers
+    ]
+
+
+def _maker(topic: Topic, sensor: str) -> str:
+    """What makes messages that are read of a topic's; '' where nobody is known."""
+    maker = made_by(sensor).get(topic.type)
+    return '' if maker is None else f'; {maker} makes that of it'
 
 
 def _name_clouds(clouds: Sequence[Topic]) -> dict[str, Topic]:

@@ -24,7 +24,8 @@ from incremental_mapper.config import LidarSensor
 from incremental_mapper.datasets.first_look import LOOKED_AT
 from incremental_mapper.datasets.one_frame import FOREIGN, OneFrame
 from incremental_mapper.datasets.remarks import Remarks
-from incremental_mapper.datasets.topics import CONVERTERS, MAP_FRAMES
+from incremental_mapper.datasets.topics import MAP_FRAMES
+from incremental_mapper.datasets.vendor_types import made_by
 from incremental_mapper.measurements import NANOSECONDS, Drops, LidarScan, Measurement, Points
 
 RENAMED = 2 * NANOSECONDS
@@ -114,14 +115,16 @@ class InputWatch:
             if types:
                 continue
             others = [name for name, kinds in published.items() if kind in kinds]
+            makers = made_by(sensor)
             converters = {
-                name: CONVERTERS[vendor]
+                name: makers[vendor]
                 for name, kinds in published.items()
                 for vendor in kinds
-                if vendor in CONVERTERS and sensor in self._lidars
+                if vendor in makers and name not in ours
             }
             others = sorted({*others} - ours)
-            found += nobody_publishes(sensor, keys[sensor], topic, others, converters)
+            standard = kind.rsplit('/', 1)[-1]
+            found += nobody_publishes(sensor, keys[sensor], topic, others, converters, standard)
         # Publishers are discovered one after the other.
         self._looks = Counter({item: self._looks[item] + 1 for item in found})
         self._unpublished = tuple(item for item in found if self._looks[item] >= LOOKS)
