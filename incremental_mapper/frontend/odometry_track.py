@@ -22,6 +22,8 @@ class Place:
         blind: Seconds since the start for which there was no odometry.
         ahead: Seconds since the newest scan, over which the last motion goes on.
         loose: Variance of the way since the start, m^2, where the scans held matches weakly.
+        looser: The sum of the deviations there, metres, which is what it is off if all of them err
+            to one side.
     """
 
     stamp: int
@@ -30,6 +32,7 @@ class Place:
     blind: float
     ahead: float
     loose: float
+    looser: float
 
 
 class OdometryTrack:
@@ -54,6 +57,7 @@ class OdometryTrack:
         self._way = 0.0
         self._blind = 0.0
         self._loose = 0.0
+        self._looser = 0.0
 
     @property
     def stamp(self) -> int | None:
@@ -77,7 +81,9 @@ class OdometryTrack:
             if self._leader in ('', sensor) or self._stamp <= before:
                 self._lead(sensor, before, stamp, pose, scan.T_previous_current)
                 if scan.covariance is not None and weak_directions(scan.covariance):
-                    self._loose += float(np.linalg.eigvalsh(scan.covariance[3:, 3:])[-1])
+                    weakest = float(np.linalg.eigvalsh(scan.covariance[3:, 3:])[-1])
+                    self._loose += weakest
+                    self._looser += float(np.sqrt(weakest))
         elif sensor == self._leader:
             self._leader = ''
         if scan.usable:
@@ -104,6 +110,7 @@ class OdometryTrack:
             blind=self._blind,
             ahead=ahead,
             loose=self._loose,
+            looser=self._looser,
         )
 
     def _at(self, stamp: int) -> gtsam.Pose3:

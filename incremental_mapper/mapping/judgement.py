@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from incremental_mapper.checks.finding import Finding, Severity
+from incremental_mapper.checks.fixes import hardly_trusted
 from incremental_mapper.checks.ground import GroundLook, ground_findings
 from incremental_mapper.checks.lidar_ways import way_findings
 from incremental_mapper.checks.motions import (
@@ -214,9 +215,23 @@ def _judge(state: GraphState, values: gtsam.Values, config: Config) -> list[Find
             np.array([values.atPose3(pose_key(item.id)).translation() for item in placed]),
         ),
         *distance_findings(driven, fixes),
+        *_distrusted(state),
         *ground_findings(ground_looks(state.scans, config)),
         *causes(fit, _moving(driven, fixes)),
     ]
+
+
+def _distrusted(state: GraphState) -> tuple[Finding, ...]:
+    """Fixes that are in a map which is laid out by others, and have no weight in it."""
+    if not state.georeferenced or not state.fixes:
+        return ()
+    factors = [state.factors[fix.factor] for fix in state.fixes]
+    return hardly_trusted(
+        factors[-1].sensor or 'gnss',
+        np.array([fix.covariance[0, 0] for fix in state.fixes]),
+        np.array([factor.data['covariance'][0][0] for factor in factors]),
+        np.array([fix.stamp for fix in state.fixes], dtype=np.int64),
+    )
 
 
 def _moving(driven: Sequence[Motions], fixes: Track) -> list[Finding]:

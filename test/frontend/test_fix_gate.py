@@ -253,6 +253,24 @@ def test_matches_that_the_scans_hold_weakly_make_no_fix_a_jump(sigma, loose):
     assert (not drive.refused and not drive.gone) is loose
 
 
+def test_weak_matches_that_lean_to_one_side_make_no_fix_doubtful():
+    drive = Drive()
+    true = drive.way
+    scan = drive.scan
+
+    def leaning():
+        drive.way = lambda seconds: 0.6 * true(seconds)
+        scan()
+        drive.way = true
+
+    drive.scan = leaning
+    drive.covariance = np.diag([1e-5] * 3 + [0.2**2] * 2 + [1e-4])
+    for i in range(25):
+        drive.fix(i, float(i), np.zeros(3))
+    assert not drive.refused and not drive.gone
+    assert not {i for i in drive.doubtful if i > 5}
+
+
 def test_fixes_without_any_odometry_are_used():
     drive = Drive()
     drive.scan = lambda: setattr(drive, 'scans', drive.scans + 1)

@@ -94,6 +94,36 @@ def test_a_robust_loss_does_not_hide_what_fixes_say():
     assert found.sensor == 'gnss' and '5.00 m' in found.text
 
 
+@pytest.mark.parametrize(('distrusted', 'told'), [(6, True), (2, False)])
+def test_fixes_without_weight_in_a_map_are_told_of(distrusted, told):
+    state = straight(120)
+    for fix in state.fixes[-distrusted:]:
+        wide = fix.covariance + 1e8 * np.eye(3)
+        key = state.factors[fix.factor].keys[0]
+        state.factors[fix.factor] = gnss_factor(
+            key, fix.enu, wide, np.zeros(3), 3.0, 'gnss', fix.stamp
+        )
+    found = rules(state)
+    assert ('fixes_distrusted' in found) is told
+    if told:
+        assert '6 of 12 fixes' in found['fixes_distrusted'].text
+
+
+def test_ranges_of_one_lidar_that_are_too_long_are_told_of():
+    state = straight(120)
+    for number, factor in enumerate(state.factors):
+        if factor.kind is FactorKind.ODOMETRY and factor.sensor == 'left':
+            state.factors[number] = between_factor(
+                FactorKind.ODOMETRY,
+                factor.keys,
+                gtsam.Pose3(gtsam.Rot3(), gtsam.Point3(1.1 * STEP, 0.0, 0.0)),
+                factor.factor.noiseModel().covariance(),
+                'left',
+                factor.stamps,
+            )
+    assert rules(state)['ways_differ'].sensor == 'left'
+
+
 def test_of_lidars_that_drive_apart_only_the_cause_is_told():
     found = rules(straight(120, turned=90.0))
     assert set(found) == {'lidars_disagree'}
