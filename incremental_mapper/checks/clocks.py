@@ -32,8 +32,9 @@ EARLY = 0.3
 SAME_CLOCK, SAME_LIDAR_CLOCK = 0.25, 0.05
 """Seconds by which lags of sensors on one clock differ, at most; two LiDARs, which have the same
 latency, less. They are moved together, so that what they agree on stays."""
-SHORTEST_STEP = 0.5
-"""Seconds; a clock that steps by more in the recording is told."""
+SHORTEST_STEP = 0.1
+"""Seconds; a clock that steps by more in the recording is told: at 10 m/s the map is torn by as
+many metres. What the lags vary beside must be a third of it at the most."""
 SMALLEST_DRIFT = 0.05
 """Seconds that a clock drifts away from the others until it is told: what a car of 20 m/s moves in
 it is a metre. Latencies vary by less; so it takes 500 s of an unsynchronised clock of 100 ppm."""
@@ -43,6 +44,8 @@ _SPREAD = 0.5
 """Seconds; a lag that varies more is no constant difference of two clocks."""
 _STEADY = 0.25
 """Seconds; a lag that varies less is that of a clock that does not step."""
+_REST = 0.3
+"""Share of a step by which lags may vary beside it."""
 _BINS = 16
 _PACE = 0.02
 """Record times that run so differently from the stamps are of a playback."""
@@ -297,8 +300,12 @@ def _steps(lags: Sequence[_Lag]) -> list[Finding]:
         if step is not None:
             steps[lag.clock.sensor] = step
     # Where none is steady, it is the recorder: a pause, a bag that is played in a loop.
-    if not any(len(lag.lags) > 1 and np.ptp(lag.lags) < _STEADY * NANOSECONDS for lag in lags):
+    steady = min(
+        (float(np.ptp(lag.lags)) for lag in lags if len(lag.lags) > 1), default=float(np.inf)
+    )
+    if steady > _STEADY * NANOSECONDS:
         return []
+    steps = {name: step for name, step in steps.items() if steady < _REST * abs(step[0])}
     start = min(int(lag.times[0]) for lag in lags)
     others = [lag.clock.sensor for lag in lags if lag.clock.sensor not in steps]
     against = f' and {listed(others)}' if others else ''
@@ -328,7 +335,7 @@ def _step(lag: _Lag) -> tuple[int, int, int] | None:
         return None
     size = float(np.median(after) - np.median(before))
     rest = max(float(np.ptp(before)), float(np.ptp(after)))
-    if abs(size) < SHORTEST_STEP or rest > 0.3 * abs(size):
+    if abs(size) < SHORTEST_STEP or rest > _REST * abs(size):
         return None
     return round(size * NANOSECONDS), int(lag.times[at - 1]), int(lag.times[at])
 

@@ -12,6 +12,7 @@ from incremental_mapper.checks.finding import Finding, Severity, ranked
 from incremental_mapper.config import Config, Tree
 from incremental_mapper.frontend.fix_gate import FixGate
 from incremental_mapper.frontend.front_end import Prepared
+from incremental_mapper.mapping.beat_watch import BeatWatch
 from incremental_mapper.mapping.imu_watch import ImuWatch
 from incremental_mapper.mapping.judgement import FitWatch
 from incremental_mapper.mapping.mount_watch import MountWatch
@@ -57,6 +58,7 @@ class Watch:
         self._mounts = MountWatch(config)
         self._gate: FixGate | None = None
         self._presence = PresenceWatch()
+        self._beat = BeatWatch()
         self._has_failed = False
 
     def failed(self, error: Exception) -> None:
@@ -97,7 +99,8 @@ class Watch:
     @_guarded
     def prepared(self, prepared: Sequence[Prepared]) -> None:
         """Look at what the front end made of a window's core measurements."""
-        for finding in (*self._mounts.matches(prepared), *self._imu.matches(prepared)):
+        looks = (self._mounts.matches, self._imu.matches, self._beat.scans)
+        for finding in (one for look in looks for one in look(prepared)):
             self.add(finding)
 
     @_guarded

@@ -194,7 +194,7 @@ def test_stamps_of_the_future():
     assert (finding.rule, finding.sensor) == ('future_stamps', 'gnss')
 
 
-@pytest.mark.parametrize('size', [2.0, -2.0, 37.0, 1.5e9])
+@pytest.mark.parametrize('size', [0.3, 2.0, -2.0, 37.0, 1.5e9])
 def test_a_clock_that_steps(size):
     (finding,) = clock_findings(clocks({'left': lambda times: size * (times > 21.0)}))
     assert (finding.rule, finding.sensor) == ('clock_step', 'left')
