@@ -19,6 +19,7 @@ from incremental_mapper.checks.imu_gravity import (
 )
 from incremental_mapper.checks.imu_holes import check_holes
 from incremental_mapper.checks.imu_motion import FEWEST, MotionEvidence
+from incremental_mapper.checks.imu_noise import check_noise
 from incremental_mapper.checks.imu_range import check_range
 from incremental_mapper.checks.lidar_clock import lidar_clock_findings
 from incremental_mapper.config import Config, Tree
@@ -68,6 +69,7 @@ class ImuWatch:
 
     def __init__(self, config: Config) -> None:
         self._settings = config.imu
+        self._noise = config.preintegration
         self._gravity = config.preintegration.gravity
         self._samples = _Newest(MOST_SAMPLES)  # rates and accelerations
         self._matches: dict[str, _Newest] = {}  # rotation vectors and translations, by LiDAR
@@ -142,6 +144,8 @@ class ImuWatch:
         # In another unit, or the other way up, even the end of the range would be told wrongly.
         if finding is None:
             finding = check_range(stamps, gyro, force, self._settings, self._gravity)
+        if finding is None:
+            finding = check_noise(stamps, gyro, force, self._noise)
         return () if finding is None else (finding,)
 
     def _look_at_motion(self, last: bool) -> Sequence[Finding]:
