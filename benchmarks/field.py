@@ -37,7 +37,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from lies import bags, clocks, clouds, fixes, frames, hardware, inertial, sensors  # noqa: F401
+from lies import bags, clocks, clouds, fixes, frames, hardware, inertial, sensors, surprises  # noqa: F401
 from lies.lie import LIES, Lie, Verdict
 from lies.recording import DRIVES, Recording, make_drive
 
@@ -50,8 +50,6 @@ SLACK = 0.02
 """Metres of ATE beyond the factor, and ..."""
 LEANING = 1.0
 """... degrees of the vertical beyond the unharmed drive's, that a good map may have."""
-FEWEST = 0.6
-"""Share of the unharmed map's points that a good one has at least."""
 FORKS = multiprocessing.get_context('forkserver')
 FORKS.set_forkserver_preload([Path(__file__).stem])
 PATIENCE = 900.0
@@ -214,7 +212,7 @@ def is_good(lie: Lie, outcome: Outcome, unharmed: Outcome) -> bool:
     return (
         outcome.errors[0] <= lie.factor * unharmed.errors[0] + SLACK
         and outcome.errors[1] <= unharmed.errors[1] + LEANING
-        and outcome.stats['map_points'] >= FEWEST * unharmed.stats['map_points']
+        and outcome.stats['map_points'] >= lie.share * unharmed.stats['map_points']
     )
 
 

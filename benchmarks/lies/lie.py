@@ -37,6 +37,7 @@ class Lie:
         about: A regular expression that one of the warnings must match, for it to be about this.
         drive: Name of the drive that is harmed, see ``recording.DRIVES``.
         factor: How much larger than that of the unharmed drive the ATE may be where it is mended.
+        share: Share of the unharmed map's points that a good one has at least.
         options: Further words for the command line.
     """
 
@@ -47,6 +48,7 @@ class Lie:
     about: str
     drive: str
     factor: float
+    share: float
     options: tuple[str, ...]
 
 
@@ -58,6 +60,7 @@ def lie(
     about: str = '',
     drive: str = 'street',
     factor: float = 1.5,
+    share: float = 0.6,
     options: tuple[str, ...] = (),
 ) -> Callable[[Maker], Maker]:
     """Enter a generator in the list under the name of its function.
@@ -68,7 +71,7 @@ def lie(
     def enter(make: Maker) -> Maker:
         name = make.__name__
         situation = (make.__doc__ or '').splitlines()[0].rstrip('.')
-        LIES[name] = Lie(name, situation, make, expected, about, drive, factor, options)
+        LIES[name] = Lie(name, situation, make, expected, about, drive, factor, share, options)
         return make
 
     return enter
