@@ -22,6 +22,7 @@ from incremental_mapper.graph.motion_compensation import MotionCompensation
 from incremental_mapper.graph.passed_clusters import MotionSigmas
 from incremental_mapper.measurements import NANOSECONDS, NO_VERTICAL_SIGMA
 from incremental_mapper.selection.local_map import LocalMapBuilder
+from incremental_mapper.smoothing.correction import release
 from incremental_mapper.smoothing.graph_state import GraphState
 from incremental_mapper.smoothing.marginal_prior import MarginalPrior, trimmed
 from incremental_mapper.variables import bias_key, velocity_key
@@ -124,7 +125,8 @@ def pose_problem(
     """
     recent = config.mom.submap_scans
     max_gap = round(config.preintegration.max_gap * NANOSECONDS)
-    prior = trimmed(state.prior, state.recent_poses(recent))
+    # What is held for evidence that comes later is no part of a window's choice.
+    prior = release(trimmed(state.prior, state.recent_poses(recent)))
     inputs = window_inputs(items, state, series, orientation, parameters, config)
     partitions = Partitions(inputs.prepared, inputs.frontier)
     compensation = MotionCompensation(

@@ -242,3 +242,11 @@ def test_prefix_that_cannot_come_to_hang_on_anything_is_not_pursued():
     found = searched(problem)
     assert len(found) == 2**5
     assert not any(problem.unconnected(item) for item in found)
+
+
+def test_nothing_that_waits_for_evidence_is_part_of_a_search():
+    """Its steps eliminate more, and the held variables are not all among those left to it."""
+    state = known_state()
+    state.hold()
+    assert state.prior.held
+    assert not problem_of({20 * MS: ['gps']}, state).prior.held
