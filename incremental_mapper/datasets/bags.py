@@ -2,6 +2,7 @@
 
 import heapq
 import math
+import struct
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -13,6 +14,7 @@ import numpy as np
 from rosbags.interfaces import Connection
 from scipy.spatial.transform import Rotation
 
+from incremental_mapper.checks.clocks import usual_lags
 from incremental_mapper.checks.cloud_copies import copied_from
 from incremental_mapper.checks.live_inputs import map_frame
 from incremental_mapper.checks.sweeps import other_frame, sector_clouds, two_lidars_one_frame
@@ -20,7 +22,12 @@ from incremental_mapper.config import Tree
 from incremental_mapper.datasets.bag_files import Topic, bag_files, open_bag
 from incremental_mapper.datasets.bag_recovery import BagReader
 from incremental_mapper.datasets.bag_samples import read_span, sample_bag
-from incremental_mapper.datasets.clock_look import ClockLook, check_clocks, stamped
+from incremental_mapper.datasets.clock_look import (
+    ClockLook,
+    check_clocks,
+    peek_header,
+    stamped,
+)
 from incremental_mapper.datasets.extrinsics import find_extrinsics
 from incremental_mapper.datasets.first_look import (
     TopicLook,
@@ -61,6 +68,8 @@ from incremental_mapper.settings import make_config, merge, read_yaml
 from incremental_mapper.trajectory import Trajectory
 
 SETTINGS_FILE = 'incremental_mapper.yaml'
+EARLY, LATE = -NANOSECONDS, 5 * NANOSECONDS
+"""A lag that differs by more from what is usual for its sensor is no latency, and no backlog."""
 
 Maker: TypeAlias = Callable[[Any, str, int], Measurement]
 Converter: TypeAlias = Callable[[Any], Measurement]
@@ -166,6 +175,7 @@ class BagSource:
                 *clocks.findings,
             ]
         self._offsets, self._apart = clocks.offsets, clocks.apart
+        self._lags = usual_lags(clock_look.clocks({}, ()))
         self._restamped = {
             topic
             for topic, names in self._sensors.items()
@@ -397,22 +407,45 @@ class BagSource:
                 break
             if connection.topic in self._restamped:
                 data = stamped(data, logged, hasattr(connection.owner, 'indexes'))
-            yield connection, data
+            stray = self._stray(connection, logged, data)
+            if stray is None:
+                yield connection, data
+            else:
+                left[stray] -= 1
+                self._drops[stray, 'stamp_leap'] += 1
         self._drops.update({(name, 'damaged'): n for name, n in left.items() if n > 0})
+
+    def _stray(self, connection: Connection, logged: int, data: bytes) -> str | None:
+        """Whose message this is, if its stamp is far from where its sensor's stamps are."""
+        sensors = self._sensors[connection.topic]
+        if connection.topic in self._restamped or self._lags.keys().isdisjoint(sensors.values()):
+            return None
+        try:
+            stamp, frame = peek_header(data, hasattr(connection.owner, 'indexes'))
+        except (struct.error, UnicodeDecodeError):
+            return None
+        sensor = sensors.get(None) or sensors.get(frame)
+        if sensor not in self._lags or stamp == 0:
+            return None
+        lag = logged - self._order_shift(connection.topic) - stamp
+        return None if EARLY <= lag - self._lags[sensor] <= LATE else sensor
 
     def _in_turn(self, reader: BagReader) -> Iterator[tuple[Any, int, bytes]]:
         """Messages as they were logged, or would have been had all sensors had one clock."""
         shifts: dict[int, list[Any]] = {}
         for connection in reader.connections:
             if connection.topic in self._sensors:
-                names = self._sensors[connection.topic].values()
-                shift = max((self._order_shifts.get(name, 0) for name in names), key=abs)
-                shifts.setdefault(shift, []).append(connection)
+                shifts.setdefault(self._order_shift(connection.topic), []).append(connection)
         parts = [
             _shifted(reader.messages(connections=connections), shift)
             for shift, connections in shifts.items()
         ]
         return parts[0] if len(parts) == 1 else heapq.merge(*parts, key=lambda item: item[1])
+
+    def _order_shift(self, topic: str) -> int:
+        """Nanoseconds that are added to a topic's record times, so that it takes its turn."""
+        names = self._sensors[topic].values()
+        return max((self._order_shifts.get(name, 0) for name in names), key=abs)
 
     def _converters(self) -> dict[str, Converter]:
         makers: dict[str, Maker] = {'imu': imu_from_message, 'gnss': fix_from_message}

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from incremental_mapper.checks.clocks import clock_findings
+from incremental_mapper.checks.clocks import clock_findings, usual_lags
 from incremental_mapper.checks.finding import Severity
 from incremental_mapper.checks.sensor_clocks import SensorClock
 from incremental_mapper.config import Config
@@ -258,3 +258,21 @@ def test_a_sensor_that_begins_late_or_ends_early_is_on_the_same_clock():
     early = SensorClock('gnss', made[3].stamps[:10], made[3].received[:10])
     assert clock_findings([made[0], late, early]) == ()
     assert clock_findings(folder([made[0], late, early])) == ()
+
+
+def test_a_usual_lag_is_that_of_most_messages_all_along():
+    made = clocks({'imu': lambda times: np.where(times * 100 % 3 < 1, -30.0, 0.0)})
+    usual = usual_lags(made)
+    assert usual.keys() == RATES.keys()
+    for name, lag in usual.items():
+        assert lag / NS == pytest.approx(LATENCY[name], abs=0.01)
+
+
+@pytest.mark.parametrize('at', [5.0, 30.0, 55.0])
+def test_a_clock_that_is_set_has_no_usual_lag(at):
+    usual = usual_lags(clocks({'left': lambda times: 37.0 * (times > at)}))
+    assert usual.keys() == RATES.keys() - {'left'}
+
+
+def test_without_record_times_no_lag_is_usual():
+    assert usual_lags([SensorClock(c.sensor, c.stamps) for c in clocks()]) == {}

@@ -161,3 +161,25 @@ def test_without_record_times_the_whole_stretch_of_each_sensor_is_looked_at(tmp_
     source = open_source(path)
     assert not [f for f in source.info.findings if f.rule == 'no_common_time']
     assert {m.sensor for m in source.measurements()} >= {'points_left', 'points_right', 'imu'}
+
+
+def test_stamps_far_from_their_record_times_are_stray_where_most_are_near(tmp_path):
+    path = tmp_path / 'bag'
+    kind = SENSORS[2][1]
+    with Writer2(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        clouds = writer.add_connection(*SENSORS[0][:2], typestore=STORES[2])
+        imu = writer.add_connection('/imu', kind, typestore=STORES[2])
+        for index in range(60):
+            at = START + 10 * index * MS
+            # An earlier drive's samples among those of now, as many as one in three.
+            stamps = (at, at - 30_000 * MS) if index % 2 else (at,)
+            for stamp in stamps:
+                data = bytes(STORES[2].serialize_cdr(message(kind, stamp), kind))
+                writer.write(imu, at + 2 * MS, data)
+            if index % 10 == 0:
+                cloud = message(SENSORS[0][1], at)
+                writer.write(clouds, at, bytes(STORES[2].serialize_cdr(cloud, SENSORS[0][1])))
+    source = open_source(path)
+    stamps = [m.stamp for m in source.measurements() if m.sensor == 'imu']
+    assert len(stamps) == 60 and min(stamps) == START
+    assert source.drops == {('imu', 'stamp_leap'): 30}

@@ -16,7 +16,7 @@ SOME = (
 
 
 def lie(*expected, about='imu'):
-    return Lie('name', 'situation', lambda drive, folder: folder, expected, about, '', 1.5, ())
+    return Lie('name', 'situation', lambda drive, folder: folder, expected, about, '', 1.5, 0.6, ())
 
 
 def outcome(ate=0.05, warnings=(), status=0, printed='', lean=0.2, points=1000):
