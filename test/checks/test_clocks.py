@@ -276,3 +276,8 @@ def test_a_clock_that_is_set_has_no_usual_lag(at):
 
 def test_without_record_times_no_lag_is_usual():
     assert usual_lags([SensorClock(c.sensor, c.stamps) for c in clocks()]) == {}
+
+
+@pytest.mark.parametrize('pace', [0.1, 10.0])
+def test_in_a_playback_no_lag_is_usual(pace):
+    assert usual_lags(clocks(seconds=3.0, pace=pace)) == {}
