@@ -5,6 +5,7 @@ from itertools import islice
 
 import numpy as np
 
+from incremental_mapper.checks.fix_covariance import checked_covariance
 from incremental_mapper.checks.receiver_choice import ReceiverLook, unsound_receivers
 from incremental_mapper.config import GnssSettings
 from incremental_mapper.datasets.bag_files import Topic
@@ -12,7 +13,6 @@ from incremental_mapper.datasets.bag_recovery import BagReader
 from incremental_mapper.datasets.first_look import messages_of
 from incremental_mapper.datasets.message_conversion import fix_from_message
 from incremental_mapper.errors import MeasurementError
-from incremental_mapper.frontend.gnss import checked_covariance
 
 MOST = 600
 """Fixes of each that are looked at: ten minutes of 1 Hz, for some receivers find none at first."""

@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from incremental_mapper.candidates.model import CoreKind, CoreMeasurement
+from incremental_mapper.checks.fix_covariance import checked_covariance
 from incremental_mapper.config import Config
 from incremental_mapper.errors import MeasurementError
 from incremental_mapper.frontend.fix_gate import FixGate
-from incremental_mapper.frontend.gnss import Datum, checked_covariance, fixed_datum
+from incremental_mapper.frontend.gnss import Datum, fixed_datum
 from incremental_mapper.frontend.imu_supply import ImuSupply, sweep_end
 from incremental_mapper.frontend.lidar_odometry import PreparedScan
 from incremental_mapper.frontend.odometry_process import LocalStation, ProcessStation, ScanStation

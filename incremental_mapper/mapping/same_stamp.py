@@ -4,9 +4,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from incremental_mapper.checks.fix_covariance import checked_covariance
 from incremental_mapper.config import Config
 from incremental_mapper.errors import MeasurementError
-from incremental_mapper.frontend.gnss import checked_covariance
 from incremental_mapper.measurements import CoreInput, LidarScan
 
 FULLER = 2.0

@@ -6,9 +6,9 @@ from datetime import UTC, datetime
 
 import numpy as np
 
+from incremental_mapper.checks.fix_covariance import checked_covariance
 from incremental_mapper.datasets.sampling import SensorKind, SensorSample
 from incremental_mapper.errors import MeasurementError
-from incremental_mapper.frontend.gnss import checked_covariance
 from incremental_mapper.measurements import NANOSECONDS, GnssFix, ImuSample
 from incremental_mapper.results.lidar_shape import LidarShape
 from incremental_mapper.results.survey import Survey

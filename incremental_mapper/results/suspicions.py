@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from incremental_mapper.checks.finding import Finding
+from incremental_mapper.checks.fix_covariance import checked_covariance
 from incremental_mapper.checks.fix_sample import far_fixes, unusable_fixes
 from incremental_mapper.checks.gaps import silences
 from incremental_mapper.checks.imu_beside_lidar import check_motion
@@ -15,7 +16,6 @@ from incremental_mapper.config import Config
 from incremental_mapper.datasets.remarks import Remarks
 from incremental_mapper.datasets.sampling import SensorKind, SensorSample
 from incremental_mapper.errors import MeasurementError
-from incremental_mapper.frontend.gnss import checked_covariance
 from incremental_mapper.measurements import GnssFix
 from incremental_mapper.results.turning import imu_series
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from bag_files import FIX, START, message
 
+from incremental_mapper.checks.fix_covariance import checked_covariance
 from incremental_mapper.config import Config, GnssSettings
 from incremental_mapper.datasets.message_conversion import fix_from_message
 from incremental_mapper.errors import MeasurementError
 from incremental_mapper.frontend.front_end import FrontEnd
-from incremental_mapper.frontend.gnss import checked_covariance
 from incremental_mapper.measurements import NANOSECONDS, NO_VERTICAL_SIGMA, make_fix
 
 NAN = float('nan')

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from incremental_mapper.checks.fix_covariance import checked_covariance
 from incremental_mapper.config import GnssSettings
 from incremental_mapper.errors import MeasurementError
 from incremental_mapper.frontend.gnss import (
     Datum,
     align_track,
-    checked_covariance,
 )
 from incremental_mapper.graph.factors import gnss_factor, pose_prior, pose_sigmas
 from incremental_mapper.measurements import FixStatus, GnssFix
