@@ -1,6 +1,6 @@
-"""Topics that a recording lacks, or has under a type that is not read."""
+"""Topics that a recording lacks, has under a type that is not read, or has several of."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from incremental_mapper.checks.finding import Finding, Severity
 
@@ -41,4 +41,26 @@ def vendor_message(sensor: str, topic: str, kind: str, maker: str, standard: str
         sensor,
         f'{topic} has {kind}, which is not read, and no topic has {standard}; mapped without it',
         f'{maker} makes {standard} of it: record that',
+    )
+
+
+def one_of_several(
+    sensor: str, kind: str, taken: str, reasons: Mapping[str, str], count: int
+) -> Finding:
+    """Of several topics that could be a sensor's one was taken, since others are worse.
+
+    Args:
+        sensor: ``imu`` or ``gnss``.
+        kind: What there are several of, in words.
+        taken: The topic.
+        reasons: What is wrong with others, in words that follow the topic.
+        count: How many there are.
+    """
+    why = ', '.join(f'{topic} {reason}' for topic, reason in reasons.items())
+    return Finding(
+        'imu_topic' if sensor == 'imu' else 'gnss_topic',
+        Severity.MENDED,
+        sensor,
+        f'of {count} {kind} {taken} is taken: {why}',
+        f'{sensor}.topic: {taken} spares the look, another one is taken if it is named',
     )

@@ -1,11 +1,8 @@
 """Which of several IMUs a recording means."""
 
-from collections.abc import Mapping, Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
-from incremental_mapper.checks.finding import Finding, Severity
 from incremental_mapper.checks.imu_gravity import check_gravity, measure_gravity
 from incremental_mapper.config import Imu
 
@@ -40,21 +37,3 @@ def implausible_imu(
     if wrong is not None and wrong.rule == 'imu_without_gravity':
         return 'has no gravity in its accelerations'
     return None
-
-
-def other_imu(taken: str, reasons: Mapping[str, str], others: Sequence[str]) -> Finding:
-    """Say which IMU was taken, and what is wrong with others.
-
-    Args:
-        taken: Its topic.
-        reasons: What is wrong with others, by topic.
-        others: Topics of all other IMUs.
-    """
-    why = ', '.join(f'{topic} {reason}' for topic, reason in reasons.items())
-    return Finding(
-        'imu_topic',
-        Severity.MENDED,
-        'imu',
-        f'of {len(others) + 1} IMUs {taken} is taken: {why}',
-        f'imu.topic: {taken} spares the look, another one is taken if it is named',
-    )

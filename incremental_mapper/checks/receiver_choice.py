@@ -1,9 +1,7 @@
 """Which of several GNSS receivers a recording means."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-
-from incremental_mapper.checks.finding import Finding, Severity
 
 SELDOM = 0.1
 """Share of usable fixes below which a receiver is of no use where another one is."""
@@ -51,21 +49,3 @@ def unsound_receivers(looks: Mapping[str, ReceiverLook]) -> dict[str, str]:
                 f'{used[best].sigma:.2g} m'
             )
     return reasons
-
-
-def other_receiver(taken: str, reasons: Mapping[str, str], others: Sequence[str]) -> Finding:
-    """Say which receiver was taken, and what is wrong with others.
-
-    Args:
-        taken: Its topic.
-        reasons: What is wrong with others, by topic.
-        others: Topics of all other receivers.
-    """
-    why = ', '.join(f'{topic} {reason}' for topic, reason in reasons.items())
-    return Finding(
-        'gnss_topic',
-        Severity.MENDED,
-        'gnss',
-        f'of {len(others) + 1} receivers {taken} is taken: {why}',
-        f'gnss.topic: {taken} spares the look, another one is taken if it is named',
-    )

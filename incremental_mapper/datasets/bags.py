@@ -14,10 +14,10 @@ import numpy as np
 from rosbags.interfaces import Connection
 from scipy.spatial.transform import Rotation
 
-from incremental_mapper.checks.clocks import usual_lags
 from incremental_mapper.checks.cloud_copies import copied_from
 from incremental_mapper.checks.live_inputs import map_frame
 from incremental_mapper.checks.sweeps import other_frame, sector_clouds, two_lidars_one_frame
+from incremental_mapper.checks.usual_lags import usual_lags
 from incremental_mapper.config import Tree
 from incremental_mapper.datasets.bag_files import Topic, bag_files, open_bag
 from incremental_mapper.datasets.bag_recovery import BagReader

@@ -4,10 +4,12 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from incremental_mapper.checks.chosen_topics import missing_topic, vendor_message
+from incremental_mapper.checks.chosen_topics import (
+    missing_topic,
+    one_of_several,
+    vendor_message,
+)
 from incremental_mapper.checks.finding import Finding
-from incremental_mapper.checks.imu_choice import other_imu
-from incremental_mapper.checks.receiver_choice import other_receiver
 from incremental_mapper.checks.sweeps import several_frames
 from incremental_mapper.config import Config, Sensor
 from incremental_mapper.datasets.bag_files import Topic, describe_topics
@@ -262,8 +264,8 @@ def _likeliest(
     others = [topic for topic in found if topic is not best]
     passed = {topic.name: unsound[topic.name] for topic in others if topic.name in unsound}
     if sound and passed:
-        other = other_imu if kind == IMU else other_receiver
-        findings.append(other(best.name, passed, [topic.name for topic in others]))
+        what = 'IMUs' if kind == IMU else 'receivers'
+        findings.append(one_of_several(name, what, best.name, passed, len(found)))
     listed = ', '.join(topic.name for topic in others)
     more = f' has more messages than {listed}' if others and not (sound and passed) else ''
     notes.append(f'{name}: topic {best.name}{more}')

@@ -17,6 +17,9 @@ import time
 import warnings
 from pathlib import Path
 
+STUCK = 120.0
+"""Seconds without any work done after which a fork may be ended."""
+
 
 def forked() -> int:
     """Fork; returns as ``os.fork``.
@@ -43,7 +46,23 @@ def stand_alone() -> None:
     sys.stderr = open(2, 'w', closefd=False)  # noqa: SIM115 (its lock may be held)
 
 
-def work(child: int) -> int:
+class Idleness:
+    """Whether a process does nothing; asked now and then."""
+
+    def __init__(self, child: int) -> None:
+        self._child = child
+        self._work, self._worked = -1, time.monotonic()
+
+    @property
+    def stuck(self) -> bool:
+        """Whether it did no work for ``STUCK``, as far as it was asked."""
+        now = _work(self._child)
+        if now != self._work:
+            self._work, self._worked = now, time.monotonic()
+        return time.monotonic() - self._worked > STUCK
+
+
+def _work(child: int) -> int:
     """A number that changes while a process works: its time on a processor, and what it wrote.
 
     It grows while it waits for its turn, too.

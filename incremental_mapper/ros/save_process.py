@@ -26,15 +26,13 @@ from typing import NoReturn
 
 from incremental_mapper.errors import MapperError
 from incremental_mapper.results.draw import MODULE as DRAW
-from incremental_mapper.ros.forks import forked, stand_alone, tell, work
+from incremental_mapper.ros.forks import Idleness, forked, stand_alone, tell
 from incremental_mapper.ros.saving import Saved
 
 MOST = 2
 """Saves that may be under way: one that writes, one that waits for its turn with its snapshot."""
 LOOK = 5.0
 """Seconds between two looks at whether a save gets on."""
-STUCK = 120.0
-"""Seconds without any work done after which a save is ended."""
 NICE = 5
 """By how much a save is less urgent than the windows."""
 LENGTH = struct.Struct('<Q')
@@ -184,13 +182,10 @@ def draw_command(folder: Path) -> list[str]:
 
 def _answer(child: int, pipe: int) -> Outcome:
     """The outcome that a process tells; ends it where it does nothing for long."""
-    data, busy, worked = b'', -1, time.monotonic()
+    data, idle = b'', Idleness(child)
     while len(data) < LENGTH.size or len(data) < LENGTH.size + LENGTH.unpack_from(data)[0]:
         if not select.select([pipe], [], [], LOOK)[0]:
-            now = work(child)
-            if now != busy:
-                busy, worked = now, time.monotonic()
-            elif time.monotonic() - worked > STUCK:
+            if idle.stuck:
                 os.kill(child, signal.SIGKILL)
             continue
         # No more than the answer: what is said afterwards is read by another.

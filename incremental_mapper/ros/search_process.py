@@ -15,14 +15,12 @@ from collections.abc import Callable
 from typing import BinaryIO, NoReturn
 
 from incremental_mapper.mapping.live_closing import Arrived, Search, unpacked
-from incremental_mapper.ros.forks import forked, stand_alone, work
+from incremental_mapper.ros.forks import Idleness, forked, stand_alone
 
 NICE = 10
 """By how much a search is less urgent than the windows; a save is half as polite."""
 LOOK = 0.05
 """Seconds between two looks whether a search has ended."""
-STUCK = 120.0
-"""Seconds without any work done after which a search is ended."""
 ENDED = 'the search for closed loops was ended before it was done; it is tried again'
 FAULT = 'the search for closed loops failed'
 
@@ -71,14 +69,11 @@ class SearchProcess:
         return self._child
 
     def _watch(self, child: int, file: BinaryIO) -> None:
-        busy, worked = -1, time.monotonic()
+        idle = Idleness(child)
         # Its number is another process's as soon as it was waited for, so nobody may end it then.
         while not self._ended(child):
             time.sleep(LOOK)
-            now = work(child)
-            if now != busy:
-                busy, worked = now, time.monotonic()
-            elif time.monotonic() - worked > STUCK:
+            if idle.stuck:
                 os.kill(child, signal.SIGKILL)
         with file:
             if not self._closed:

@@ -83,12 +83,11 @@ class MarginalPrior:
         inside, outside = layout_of(self.keys).places, layout_of(self.eliminated).places
         unit = self.own_steps()
         gains = [unit[inside[key]] if key in inside else self.gains[outside[key]] for key in keys]
-        still = np.zeros(0)
         steps = [
             np.zeros(len(rows)) if key in inside else self.pending_delta[outside[key]]
             for key, rows in zip(keys, gains, strict=True)
         ]
-        return np.vstack([unit[:0], *gains]), np.concatenate([still, *steps])
+        return np.vstack([unit[:0], *gains]), np.concatenate([np.zeros(0), *steps])
 
     def own_steps(self) -> Array:
         """The matrix (n, n) that makes GTSAM's steps of the frontier of those about the pivot."""

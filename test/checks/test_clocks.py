@@ -5,9 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from incremental_mapper.checks.clocks import clock_findings, usual_lags
+from incremental_mapper.checks.clocks import clock_findings
 from incremental_mapper.checks.finding import Severity
 from incremental_mapper.checks.sensor_clocks import SensorClock
+from incremental_mapper.checks.usual_lags import usual_lags
 from incremental_mapper.config import Config
 from incremental_mapper.datasets.sensor_settings import offset_nanoseconds
 

@@ -87,6 +87,18 @@ def driven(count, period, off, **kwargs):
     return drive
 
 
+def matches_read(drive, share):
+    """Let scan matching read a share of the way that the fixes see."""
+    true, scan = drive.way, drive.scan
+
+    def part():
+        drive.way = lambda seconds: share * true(seconds)
+        scan()
+        drive.way = true
+
+    drive.scan = part
+
+
 def off_datum(drive):
     """How far the datum is from the first right antenna position, across the way, metres."""
     datum = drive.gate.datum
@@ -228,15 +240,7 @@ def test_converging_and_stepping_receivers_do_not_scatter():
 def test_matcher_that_reads_hardly_any_motion_does_not_make_sound_fixes_jumps():
     drive = Drive(method=OdometryMethod.KISS_ICP)
     drive.way = lambda seconds: 0.8 * seconds**2  # what fixes see
-    true = drive.way
-    scan = drive.scan
-
-    def blind():
-        drive.way = lambda seconds: 0.3 * true(seconds)
-        scan()
-        drive.way = true
-
-    drive.scan = blind
+    matches_read(drive, 0.3)
     for i in range(10):
         drive.fix(i, float(i), np.zeros(3))
     assert not drive.refused and not drive.doubtful and not drive.gate.findings()
@@ -255,15 +259,7 @@ def test_matches_that_the_scans_hold_weakly_make_no_fix_a_jump(sigma, loose):
 
 def test_weak_matches_that_lean_to_one_side_make_no_fix_doubtful():
     drive = Drive()
-    true = drive.way
-    scan = drive.scan
-
-    def leaning():
-        drive.way = lambda seconds: 0.6 * true(seconds)
-        scan()
-        drive.way = true
-
-    drive.scan = leaning
+    matches_read(drive, 0.6)
     drive.covariance = np.diag([1e-5] * 3 + [0.2**2] * 2 + [1e-4])
     for i in range(25):
         drive.fix(i, float(i), np.zeros(3))
