@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from incremental_mapper.checks.finding import Finding, Severity
+from incremental_mapper.checks.frame_names import shown_frame
 
 
 def nobody_publishes(
@@ -79,8 +80,8 @@ def map_frame(lidar: str, key: str, topic: str, frame: str) -> Finding:
         'map_frame',
         Severity.WARNING,
         lidar,
-        f"the clouds of {topic} are in the frame {frame!r}, which is no LiDAR's: a map, or scans "
-        'that somebody has moved already; they are used all the same',
+        f"the clouds of {topic} are in the frame {shown_frame(frame)}, which is no LiDAR's: a map, "
+        'or scans that somebody has moved already; they are used all the same',
         f"set {key} to the topic of the LiDAR's driver",
     )
 
@@ -99,8 +100,8 @@ def foreign_frame(lidar: str, topic: str, own: str, frame: str, count: int) -> F
         'foreign_frame',
         Severity.WARNING,
         lidar,
-        f'{count} clouds on {topic} have the frame_id {frame!r}, between those with {own!r}: '
-        'another LiDAR on the same topic; they are left out',
+        f'{count} clouds on {topic} have the frame_id {shown_frame(frame)}, between those with '
+        f'{shown_frame(own)}: another LiDAR on the same topic; they are left out',
         'give each its own topic, or list one more LiDAR with this topic in lidars.names',
     )
 
@@ -118,8 +119,8 @@ def foreign_messages(sensor: str, own: str, frame: str, count: int) -> Finding:
         'foreign_frame',
         Severity.WARNING,
         sensor,
-        f'{count} messages have the frame_id {frame!r}, between those with {own!r}: another sensor '
-        'on the same topic; they are left out',
+        f'{count} messages have the frame_id {shown_frame(frame)}, between those with '
+        f'{shown_frame(own)}: another sensor on the same topic; they are left out',
         f'give each its own topic, and name the one that is wanted in {sensor}.topic',
     )
 

@@ -7,6 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from incremental_mapper.checks.finding import Finding, Severity
+from incremental_mapper.checks.frame_names import shown_frame
 from incremental_mapper.measurements import Vector
 
 BASE_FRAME = 'base_link'
@@ -77,8 +78,9 @@ def lidars_left_out(places: Sequence[SensorPlace]) -> list[Finding]:
             'lidar_left_out',
             Severity.WARNING,
             place.sensor,
-            f'neither the settings nor /tf_static tell where it is (frame {place.frame!r}) beside '
-            f'{", ".join(kept)}; it is left out, for together they would make a wrong map',
+            'neither the settings nor /tf_static tell where it is (frame '
+            f'{shown_frame(place.frame)}) beside {", ".join(kept)}; it is left out, for together '
+            'they would make a wrong map',
             f'set {place.key}.T_base_sensor: [x, y, z, qx, qy, qz, qw]',
         )
         for place in places
@@ -99,7 +101,7 @@ def identity_extrinsics(places: Sequence[SensorPlace]) -> list[Finding]:
     ]
     if not untied or len(places) < 2:
         return []
-    frames = ', '.join(f'{place.sensor} (frame {place.frame!r})' for place in untied)
+    frames = ', '.join(f'{place.sensor} (frame {shown_frame(place.frame)})' for place in untied)
     return [
         Finding(
             'identity_extrinsics',

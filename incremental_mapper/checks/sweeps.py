@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from incremental_mapper.checks.finding import Finding, Severity
+from incremental_mapper.checks.frame_names import shown_frame
 from incremental_mapper.measurements import Points
 
 FEWEST_CLOUDS = 12
@@ -27,8 +28,6 @@ _TURNS = 0.75
 """Share of the clouds that are less than half as far from the one before the last as from both
 around, at least, so that a lost cloud matters little. Where most clouds are broken it was 0.4 to
 0.8 wherever the medians alone took them for two LiDARs (8 of 100 stretches)."""
-_SHOWN = 40
-"""Characters of a frame_id that are shown; a broken message may have thousands."""
 _APART = 0.3
 """Metres by which mean and spread of two LiDARs' clouds differ at least; it was 4 to 6 m."""
 
@@ -100,8 +99,8 @@ def two_lidars_one_frame(lidar: str, topic: str, frame: str) -> Finding:
         'two_lidars_one_frame',
         Severity.ERROR,
         lidar,
-        f'two kinds of clouds take turns on {topic} under the one frame_id {frame!r}, as of two '
-        'LiDARs; they cannot be told apart, and the map is of both as if they were one',
+        f'two kinds of clouds take turns on {topic} under the one frame_id {shown_frame(frame)}, '
+        'as of two LiDARs; they cannot be told apart, and the map is of both as if they were one',
         'give each its own topic or frame_id in its driver, and record again',
     )
 
@@ -113,7 +112,7 @@ def several_frames(topic: str, counts: Mapping[str, int]) -> Finding:
         topic: Where they come.
         counts: Number of clouds by frame_id.
     """
-    listed = ', '.join(f'{_short(frame)} {count}x' for frame, count in counts.items())
+    listed = ', '.join(f'{shown_frame(frame)} {count}x' for frame, count in counts.items())
     return Finding(
         'several_frames',
         Severity.MENDED,
@@ -143,17 +142,10 @@ def other_frame(lidar: str, expected: str, frame: str, count: int, owner: str) -
         'other_frame',
         Severity.WARNING,
         lidar,
-        f'{count} clouds have the frame_id {_short(frame)!r} where others have '
-        f'{_short(expected)!r}: {what}',
+        f'{count} clouds have the frame_id {shown_frame(frame)} where others have '
+        f'{shown_frame(expected)}: {what}',
         'give each LiDAR its own topic, and record again',
     )
-
-
-def _short(frame: str) -> str:
-    """A frame_id as a line has room for it."""
-    if len(frame) > _SHOWN:
-        frame = f'{frame[:_SHOWN]}...'
-    return frame or '(none)'
 
 
 def _directions(cloud: Points) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:

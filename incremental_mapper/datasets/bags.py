@@ -51,6 +51,7 @@ from incremental_mapper.datasets.sectors import NO_POINTS, SectorGatherer
 from incremental_mapper.datasets.sensor_settings import extrinsics_of, listed_lidars
 from incremental_mapper.datasets.source import SourceInfo
 from incremental_mapper.datasets.static_transforms import STATIC_TOPIC, clean
+from incremental_mapper.datasets.stray_stamps import StrayStamps
 from incremental_mapper.datasets.topics import (
     CLOUDS,
     FIX,
@@ -68,8 +69,6 @@ from incremental_mapper.settings import make_config, merge, read_yaml
 from incremental_mapper.trajectory import Trajectory
 
 SETTINGS_FILE = 'incremental_mapper.yaml'
-EARLY, LATE = -NANOSECONDS, 5 * NANOSECONDS
-"""A lag that differs by more from what is usual for its sensor is no latency, and no backlog."""
 
 Maker: TypeAlias = Callable[[Any, str, int], Measurement]
 Converter: TypeAlias = Callable[[Any], Measurement]
@@ -394,6 +393,7 @@ class BagSource:
         ``left`` is how many messages of each sensor are still to come.
         """
         messages = self._in_turn(reader)
+        strays = StrayStamps(self._lags)
         while True:
             try:
                 connection, logged, data = next(messages)
@@ -407,7 +407,7 @@ class BagSource:
                 break
             if connection.topic in self._restamped:
                 data = stamped(data, logged, hasattr(connection.owner, 'indexes'))
-            stray = self._stray(connection, logged, data)
+            stray = self._stray(strays, connection, logged, data)
             if stray is None:
                 yield connection, data
             else:
@@ -415,7 +415,9 @@ class BagSource:
                 self._drops[stray, 'stamp_leap'] += 1
         self._drops.update({(name, 'damaged'): n for name, n in left.items() if n > 0})
 
-    def _stray(self, connection: Connection, logged: int, data: bytes) -> str | None:
+    def _stray(
+        self, strays: StrayStamps, connection: Connection, logged: int, data: bytes
+    ) -> str | None:
         """Whose message this is, if its stamp is far from where its sensor's stamps are."""
         sensors = self._sensors[connection.topic]
         if connection.topic in self._restamped or self._lags.keys().isdisjoint(sensors.values()):
@@ -425,10 +427,10 @@ class BagSource:
         except (struct.error, UnicodeDecodeError):
             return None
         sensor = sensors.get(None) or sensors.get(frame)
-        if sensor not in self._lags or stamp == 0:
+        if sensor is None or stamp == 0:
             return None
-        lag = logged - self._order_shift(connection.topic) - stamp
-        return None if EARLY <= lag - self._lags[sensor] <= LATE else sensor
+        logged -= self._order_shift(connection.topic)
+        return sensor if strays.is_stray(sensor, stamp, logged) else None
 
     def _in_turn(self, reader: BagReader) -> Iterator[tuple[Any, int, bytes]]:
         """Messages as they were logged, or would have been had all sensors had one clock."""
