@@ -37,7 +37,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from lies import bags, clocks, clouds, fixes, frames, hardware, inertial, sensors, surprises  # noqa: F401
+from lies import (  # noqa: F401
+    bags,
+    clocks,
+    clouds,
+    conventions,
+    fixes,
+    frames,
+    hardware,
+    inertial,
+    sensors,
+    surprises,
+)
 from lies.lie import LIES, Lie, Verdict
 from lies.recording import DRIVES, Recording, make_drive
 

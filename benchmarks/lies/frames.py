@@ -37,6 +37,13 @@ def _pose(drive: Recording, name: str) -> np.ndarray:
     return matrix_of(drive.settings['lidars'][name]['T_base_sensor'])
 
 
+def _antenna_moved(drive: Recording, ahead: float, left: float) -> Recording:
+    """The settings have the antenna so many metres behind, and right of, where it is."""
+    pose = matrix_of(drive.settings['gnss']['T_base_sensor'])
+    pose[:2, 3] -= ahead, left
+    return drive.with_settings({'gnss': {'T_base_sensor': setting_of(pose)}})
+
+
 def _in_base(made: Recording, drive: Recording) -> Recording:
     """The clouds of ``made`` moved into base_link, by the poses that ``drive`` has."""
     for topic, name in ((LEFT, 'left'), (RIGHT, 'right')):
@@ -167,6 +174,18 @@ def inverted_extrinsics(drive: Recording, folder: Path) -> Path:
         left=np.linalg.inv(_pose(drive, 'left')),
         right=np.linalg.inv(_pose(drive, 'right')),
     ).write(folder / 'bag')
+
+
+@lie(WARNED, about='antenna_place', drive='turns')
+def antenna_left(drive: Recording, folder: Path) -> Path:
+    """The antenna 4 m left of where it is."""
+    return _antenna_moved(drive, 0.0, 4.0).write(folder / 'bag')
+
+
+@lie(WARNED, about='antenna_place', drive='turns')
+def antenna_ahead(drive: Recording, folder: Path) -> Path:
+    """The antenna 3 m ahead of where it is, and 1.5 m right."""
+    return _antenna_moved(drive, 3.0, -1.5).write(folder / 'bag')
 
 
 @lie(WARNED, REFUSED, about=EXTRINSICS + '|left|right')

@@ -54,10 +54,10 @@ def unclosed_bag(files: Sequence[UnclosedFile]) -> list[Finding]:
 
 
 def unknown_storage(identifiers: Sequence[str]) -> list[Finding]:
-    """Storage identifiers of ``metadata.yaml`` that name no known format."""
+    """Storage identifiers of ``metadata.yaml`` that name no known format, or another one."""
     if not identifiers:
         return []
-    text = f'metadata.yaml: storage_identifier is {identifiers[0]!r}'
+    text = f'metadata.yaml: storage_identifier is {identifiers[0]!r}, which its files are not'
     remedy = 'the ending of the files tells what they are; "ros2 bag reindex" writes it anew'
     return [Finding('unknown_storage', Severity.MENDED, '', text, remedy)]
 

@@ -120,9 +120,7 @@ def extrinsics_differ(places: Sequence[SensorPlace]) -> list[Finding]:
     for place in places:
         if place.given is None or place.static is None:
             continue
-        metres = float(np.linalg.norm(place.given[:3, 3] - place.static[:3, 3]))
-        turn = Rotation.from_matrix(place.given[:3, :3].T @ place.static[:3, :3])
-        degrees = float(np.degrees(turn.magnitude()))
+        metres, degrees = _apart(place.given, place.static)
         if metres <= _AGREE_M and degrees <= _AGREE_DEG:
             continue
         text = (
@@ -171,6 +169,56 @@ def bad_transform(topic: str, child: str, parent: str, reason: str) -> Finding:
         f'the transform to {parent} on {topic} is left out: {reason}',
         'correct its publisher',
     )
+
+
+def told_twice(topic: str, child: str, parent: str, before: Vector, now: Vector) -> list[Finding]:
+    """A static transform that is told again, and is another one then.
+
+    Args:
+        topic: Where it came from.
+        child: The frame that is placed.
+        parent: The frame in which it is.
+        before: T_parent_child (4, 4) as it was told first.
+        now: As it was told last.
+    """
+    metres, degrees = _apart(before, now)
+    if metres <= _AGREE_M and degrees <= _AGREE_DEG:
+        return []
+    return [
+        Finding(
+            'transform_changes',
+            Severity.WARNING,
+            child,
+            f'{topic} tells twice where it is in {parent}, {metres:.2f} m and {degrees:.1f} '
+            'degrees apart; the last word counts',
+            'see which programs publish it, and stop the one that is wrong; T_base_sensor in the '
+            'settings counts before both',
+        )
+    ]
+
+
+def other_root(root: str, sensors: Sequence[str]) -> Finding:
+    """No transform knows the car's frame, but all hang on one frame.
+
+    Args:
+        root: That frame.
+        sensors: Who is placed by it.
+    """
+    return Finding(
+        'other_base_frame',
+        Severity.MENDED,
+        '',
+        f'no transform has {BASE_FRAME}; the frame that all of them begin at, {root!r}, is taken '
+        f'for it: {", ".join(sensors)} are placed by that',
+        f"the map is of {root!r}; where that is not the car's frame set T_base_sensor",
+    )
+
+
+def _apart(one: Vector, other: Vector) -> tuple[float, float]:
+    """Metres and degrees between two poses (4, 4)."""
+    metres = float(np.linalg.norm(one[:3, 3] - other[:3, 3]))
+    turn = Rotation.from_matrix(one[:3, :3].T @ other[:3, :3])
+    return metres, float(np.degrees(turn.magnitude()))
 
 
 def _pose_lines(places: Sequence[SensorPlace]) -> str:

@@ -70,9 +70,12 @@ def bag_files(path: Path) -> list[Path]:
         )
     if not path.is_dir():
         raise InputError(f'{path}: does not exist')
-    if (path / 'metadata.yaml').is_file():
-        return [path]
     storage = sorted(file for file in path.iterdir() if file.suffix in STORAGE_SUFFIXES)
+    metadata = path / 'metadata.yaml'
+    if metadata.is_file():
+        # The one file there tells all by itself where it was renamed since.
+        named = len(storage) != 1 or storage[0].name in metadata.read_text(errors='replace')
+        return [path] if named else storage
     if len(storage) == 1:
         return storage
     if storage:

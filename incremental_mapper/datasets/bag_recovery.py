@@ -35,6 +35,8 @@ _HEADER_BYTES = 9
 """Opcode and length of an MCAP record."""
 _FOOTER = 0x02
 _DATA_END = 0x0F
+_BEGINNINGS = {'mcap': b'\x89MCAP', 'sqlite3': b'SQLite format 3'}
+"""First bytes of files, by storage identifier."""
 _UNFINISHED = ('-wal', '-journal')
 """What SQLite keeps beside a database that was not closed."""
 
@@ -215,7 +217,7 @@ class _RecoveringSqlite(Sqlite3Reader):
 
 
 class _ByEnding(dict[str, Callable[[Path], Any]]):
-    """Storage readers by identifier; where metadata names none that is known, by the file's ending.
+    """Storage readers by identifier; by the file's ending where that is not what the file is.
 
     A dictionary because the library looks the identifier up in one.
     """
@@ -229,7 +231,7 @@ class _ByEnding(dict[str, Callable[[Path], Any]]):
 
     def __missing__(self, identifier: str) -> Callable[[Path], Any]:
         def known(path: Path) -> Any:
-            if identifier not in ('mcap', 'sqlite3'):
+            if identifier not in _BEGINNINGS or _begins_otherwise(path, identifier):
                 self._damage.identifiers.append(identifier)
                 return self.of_file(path)
             return (_SalvagingMcap if identifier == 'mcap' else _RecoveringSqlite)(
@@ -245,6 +247,13 @@ class _ByEnding(dict[str, Callable[[Path], Any]]):
         if path.suffix == '.db3':
             return _RecoveringSqlite(path, self._damage)
         raise ValueError(f'{path.name} ends neither in .mcap nor in .db3')
+
+
+def _begins_otherwise(path: Path, identifier: str) -> bool:
+    """Whether a file begins like one of another format."""
+    with path.open('rb') as file:
+        begin = file.read(max(map(len, _BEGINNINGS.values())))
+    return any(begin.startswith(other) for name, other in _BEGINNINGS.items() if name != identifier)
 
 
 def _mend_metadata(storage: DirectoryReader) -> list[Finding]:

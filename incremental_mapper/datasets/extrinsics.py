@@ -15,6 +15,7 @@ from incremental_mapper.checks.sensor_places import (
     extrinsics_differ,
     identity_extrinsics,
     lidars_left_out,
+    other_root,
     unplaced_lidars,
 )
 from incremental_mapper.config import Tree
@@ -27,6 +28,7 @@ from incremental_mapper.datasets.static_transforms import (
     clean,
     read_static_transforms,
 )
+from incremental_mapper.datasets.topics import MAP_FRAMES
 from incremental_mapper.geometry import matrix_numbers, pose_matrix
 from incremental_mapper.measurements import Vector
 from incremental_mapper.settings import merge
@@ -72,6 +74,13 @@ def find_extrinsics(
     of_static = set(tree.edges)
     if any(pose is None and _pose(tree, frames[name]) is None for name, pose in given.items()):
         add_still_transforms(reader, tree)
+    root = tree.root()
+    if tree.base() is None and root is not None and root not in MAP_FRAMES:
+        placed = [name for name, pose in given.items() if pose is None]
+        placed = [name for name in placed if tree.between(root, frames[name]) is not None]
+        if placed:
+            tree.wanted = root
+            tree.findings.append(other_root(root, placed))
     sources = [STATIC_TOPIC] * bool(of_static) + [MOVING_TOPIC] * (set(tree.edges) != of_static)
     return place_sensors(tree, sources, settings, frames, lidars)
 

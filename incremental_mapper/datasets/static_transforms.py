@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rosbags.highlevel import AnyReader
 
 from incremental_mapper.checks.finding import Finding
-from incremental_mapper.checks.sensor_places import BASE_FRAME, bad_transform
+from incremental_mapper.checks.sensor_places import BASE_FRAME, bad_transform, told_twice
 from incremental_mapper.geometry import pose_matrix
 
 Edge: TypeAlias = tuple[str, str]
@@ -44,6 +44,12 @@ class FrameTree:
             return self.wanted
         found = [name for name in sorted(names) if name.split('/')[-1] == BASE_FRAME]
         return BASE_FRAME if BASE_FRAME in found else found[0] if len(found) == 1 else None
+
+    def root(self) -> str | None:
+        """Name of the frame that all others hang on, None where there are several or none."""
+        children = {child for _, child in self.edges}
+        roots = {parent for parent, _ in self.edges} - children
+        return roots.pop() if len(roots) == 1 else None
 
     def between(self, target: str, source: str) -> NDArray[np.float64] | None:
         """Follow the transforms from one frame to another.
@@ -143,10 +149,14 @@ def add_transform(tree: FrameTree, topic: str, edge: Edge, numbers: NDArray[np.f
         edge: parent and child.
         numbers: x, y, z, qx, qy, qz, qw.
     """
+    known = tree.edges.get(edge)
     try:
         tree.edges[edge] = pose_matrix(numbers.tolist())
     except ValueError as error:
         tree.findings.append(bad_transform(topic, edge[1], edge[0], str(error)))
+        return
+    if known is not None:
+        tree.findings += told_twice(topic, edge[1], edge[0], known, tree.edges[edge])
 
 
 def _transforms(

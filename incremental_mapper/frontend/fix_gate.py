@@ -29,6 +29,7 @@ from incremental_mapper.checks.fixes import (
 )
 from incremental_mapper.config import GnssSettings, OdometryMethod
 from incremental_mapper.errors import MeasurementError
+from incremental_mapper.frontend.antenna_watch import AntennaWatch
 from incremental_mapper.frontend.fix_shape_watch import ShapeWatch
 from incremental_mapper.frontend.fix_tracks import MEMBERS, Entry, Track, alike, unseen
 from incremental_mapper.frontend.gnss import Datum, align_track
@@ -103,6 +104,7 @@ class FixGate:
         self.steps: list[DatumStep] = []
         self._recent: deque[Entry] = deque(maxlen=MEMBERS)  # all but frozen ones
         self._shape = ShapeWatch(settings, time_offset, scales)
+        self._antenna = AntennaWatch(lever_arm)
 
     # --- what it is asked
 
@@ -150,6 +152,10 @@ class FixGate:
             last: Whether no more will come.
         """
         return self._shape.finding(self.sensor, last)
+
+    def misplaced(self, last: bool = False) -> Finding | None:
+        """Whether the antenna is elsewhere on the car; asked now and then, ``last`` as above."""
+        return self._antenna.finding(self.sensor, last)
 
     def too_certain(self) -> Finding | None:
         """Whether the newest fixes scatter far more than they say; asked where some are left out.
@@ -245,6 +251,8 @@ class FixGate:
         if track.origin is not None:
             if track is self._tracks[0] and not (track.moved and track.count > STEP):
                 track.stamps.append(fix.stamp)
+            if self._exact and track is self._tracks[0]:
+                self._antenna.take(entry)
             enu = track.datum.enu(fix) - np.array([0.0, 0.0, lowered])
             return Judged(enu + track.origin, covariance, doubtful=False)
         if self._settled and track is not self._tracks[0]:

@@ -18,6 +18,7 @@ class Place:
     Attributes:
         stamp: Nanoseconds.
         position: Position (3,) in a frame of odometry's own, metres.
+        heading: Yaw of base_link there, radians.
         way: Metres that base_link has travelled since the start.
         blind: Seconds since the start for which there was no odometry.
         ahead: Seconds since the newest scan, over which the last motion goes on.
@@ -28,6 +29,7 @@ class Place:
 
     stamp: int
     position: NDArray[np.float64]
+    heading: float
     way: float
     blind: float
     ahead: float
@@ -103,9 +105,11 @@ class OdometryTrack:
     def at(self, stamp: int) -> Place:
         """The antenna at a stamp, not before the newest scan."""
         ahead = 0.0 if self._stamp is None else max(stamp - self._stamp, 0) / NANOSECONDS
+        pose = self._at(stamp)
         return Place(
             stamp=stamp,
-            position=np.asarray(self._at(stamp).transformFrom(self._arm)),
+            position=np.asarray(pose.transformFrom(self._arm)),
+            heading=float(pose.rotation().yaw()),
             way=self._way + ahead * float(np.linalg.norm(self._twist[3:])),
             blind=self._blind,
             ahead=ahead,

@@ -107,7 +107,7 @@ class Watch:
     def fixes(self, gate: FixGate) -> None:
         """Look at what the gate made of a window's fixes."""
         self._gate = gate
-        wrong = gate.misshapen() or gate.too_certain()
+        wrong = gate.misshapen() or gate.too_certain() or gate.misplaced()
         if wrong is not None:
             self.add(wrong)
 
@@ -121,9 +121,10 @@ class Watch:
         """Decide what waits for more measurements: none will come."""
         for finding in (*self._mounts.end(), *self._imu.end()):
             self.add(finding)
-        shape = None if self._gate is None else self._gate.misshapen(last=True)
-        if shape is not None:
-            self.add(shape)
+        if self._gate is not None:
+            wrong = self._gate.misshapen(last=True) or self._gate.misplaced(last=True)
+            if wrong is not None:
+                self.add(wrong)
 
     def add(self, finding: Finding) -> None:
         """Keep a finding; what one changes is asked of who runs the mapper."""

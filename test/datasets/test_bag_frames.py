@@ -88,6 +88,48 @@ def test_static_transforms_are_the_extrinsics_that_nobody_names(tmp_path):
     assert 'gnss.T_base_sensor' in note and "'gnss'" in note
 
 
+def test_the_one_root_of_the_transforms_stands_for_the_car_where_no_base_link_is(tmp_path):
+    links = [
+        ('vehicle', 'roof', (1, 0, 2), (0, 0, 0, 1)),
+        ('roof', 'lidar', (0.5, 0, 0), (0, 0, 0, 1)),
+        ('vehicle', 'imu', (0, 0, 1), (0, 0, 0, 1)),
+    ]
+    events = [('/tf_static', transforms(*links)), *sensors()]
+    source = open_source(write(tmp_path / 'bag', events), {})
+    config = make_config(source.info.settings)
+    assert config.lidars['points'].T_base_sensor[:3] == (1.5, 0, 2)
+    assert config.imu.T_base_sensor[:3] == (0, 0, 1)
+    (note,) = said(source, 'other_base_frame')
+    assert "'vehicle'" in note and 'points' in note and 'imu' in note
+
+
+@pytest.mark.parametrize(
+    'links',
+    [
+        [('map', 'lidar', (1, 0, 2), (0, 0, 0, 1)), ('map', 'imu', (0, 0, 1), (0, 0, 0, 1))],
+        [('one', 'lidar', (1, 0, 2), (0, 0, 0, 1)), ('two', 'imu', (0, 0, 1), (0, 0, 0, 1))],
+    ],
+)
+def test_a_map_or_one_of_several_roots_is_no_car(tmp_path, links):
+    events = [('/tf_static', transforms(*links)), *sensors()]
+    source = open_source(write(tmp_path / 'bag', events), {})
+    assert make_config(source.info.settings).lidars['points'].T_base_sensor[:3] == (0, 0, 0)
+    assert not said(source, 'other_base_frame') and said(source, 'identity_extrinsics')
+
+
+def test_static_transforms_that_contradict_each_other_are_told(tmp_path):
+    first = ('base_link', 'lidar', (1, 0, 2), (0, 0, 0, 1))
+    again = ('base_link', 'lidar', (1.05, 0, 2), (0, 0, 0, 1))
+    other = ('base_link', 'lidar', (1, 0, 1), (0, 0, 0, 1))
+    for last, count in ((first, 0), (again, 0), (other, 1)):
+        tf = [('/tf_static', transforms(first)), ('/tf_static', transforms(last))]
+        bag = write(tmp_path / str(last[2]), [*tf, *sensors()])
+        source = open_source(bag, {})
+        assert len(said(source, 'transform_changes')) == count
+        place = make_config(source.info.settings).lidars['points'].T_base_sensor[:3]
+        assert place == pytest.approx(last[2])
+
+
 def test_what_the_settings_say_comes_first(tmp_path):
     tf = transforms(('base_link', 'lidar', (1, 0, 2), (0, 0, 0, 1)))
     bag = write(tmp_path / 'bag', [('/tf_static', tf), *sensors()])

@@ -37,6 +37,29 @@ def test_a_wrong_storage_identifier_is_told_by_the_ending(tmp_path, plugin, iden
     assert path.read_text() == text
 
 
+@pytest.mark.parametrize(
+    ('plugin', 'identifier'), [(StoragePlugin.MCAP, 'sqlite3'), (StoragePlugin.SQLITE3, 'mcap')]
+)
+def test_the_identifier_of_the_other_format_is_not_believed(tmp_path, plugin, identifier):
+    bag = write_bag(tmp_path / 'bag', plugin=plugin)
+    path = bag / 'metadata.yaml'
+    path.write_text(
+        re.sub('storage_identifier: .*', f'storage_identifier: {identifier}', path.read_text())
+    )
+    source = open_source(bag, {})
+    assert count(source) == EXPECTED and source.drops == {}
+    assert len(said(source, 'unknown_storage')) == 1
+
+
+@pytest.mark.parametrize('plugin', [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+def test_a_bag_whose_one_file_was_renamed_is_read(tmp_path, plugin):
+    bag = write_bag(tmp_path / 'bag', plugin=plugin)
+    file = next(path for path in bag.iterdir() if path.suffix in ('.mcap', '.db3'))
+    file.rename(bag / f'monday{file.suffix}')
+    source = open_source(bag, {})
+    assert count(source) == EXPECTED and source.drops == {}
+
+
 def test_sound_bags_have_nothing_to_mend(tmp_path):
     for plugin in (StoragePlugin.MCAP, StoragePlugin.SQLITE3):
         source = open_source(write_bag(tmp_path / plugin.name, plugin=plugin), {})

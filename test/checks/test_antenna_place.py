@@ -1,0 +1,104 @@
+"""An antenna that is not where the settings put it, by how fixes swing in turns."""
+
+import numpy as np
+import pytest
+
+from incremental_mapper.checks.antenna_place import TurningTrack, antenna_finding
+from incremental_mapper.checks.finding import Severity
+from incremental_mapper.measurements import NANOSECONDS
+
+ARM = np.array([-0.3, 0.0, 1.7])
+SECONDS = 60.0
+
+
+def track(error=(0.0, 0.0), late=0.0, turns=0.8, speed=4.0, noise=0.03, drift=0.0, rate=1.0):
+    """Fixes of an antenna that is ``error`` ahead and left of where it should be.
+
+    The car turns to and fro by ``turns`` radians, its speed varies by ``speed``; odometry reads
+    ``drift`` too much, and wanders by a centimetre a metre.
+    """
+    rng = np.random.default_rng(1)
+    grid = np.arange(-5.0, SECONDS + 5.0, 0.01)
+    yaw = turns * np.sin(0.3 * grid)
+    steps = 0.01 * (6.0 + speed * np.sin(0.5 * grid)) * np.exp(1j * yaw)
+    base, arm = np.cumsum(steps), ARM[0] + 1j * ARM[1]
+    at = np.arange(0.5, SECONDS - 0.5, 1.0 / rate)
+
+    def there(values, when):
+        return np.interp(when, grid, values.real) + 1j * np.interp(when, grid, values.imag)
+
+    def antenna(when, place):
+        return there(base, when) + place * there(np.exp(1j * yaw), when)
+
+    enu = antenna(at - late, arm + complex(*error)) * np.exp(0.9j)
+    enu = enu + rng.normal(scale=noise, size=(len(at), 2)) @ [1.0, 1j]
+    wander = np.cumsum(rng.normal(scale=0.06 / np.sqrt(rate), size=(len(at), 2)) @ [1.0, 1j])
+    local = (1.0 + drift) * antenna(at, arm) + wander
+    return TurningTrack(
+        np.round(at * NANOSECONDS).astype(np.int64),
+        np.stack([enu.real, enu.imag], axis=1),
+        np.stack([local.real, local.imag], axis=1),
+        np.interp(at, grid, yaw) + 3.0,
+    )
+
+
+def turned(one, angle):
+    """The same with odometry's frame turned."""
+    cosine, sine = np.cos(angle), np.sin(angle)
+    turn = np.array([[cosine, -sine], [sine, cosine]])
+    return TurningTrack(one.stamps, one.enu, one.local @ turn.T, one.headings - 3.0 + angle)
+
+
+@pytest.mark.parametrize('error', [(4.0, 0.0), (0.0, 2.0), (-2.0, -1.5), (1.2, 0.9)])
+@pytest.mark.parametrize('rate', [1.0, 5.0])
+def test_the_place_of_the_antenna_is_found(error, rate):
+    found = antenna_finding('gnss', turned(track(error, rate=rate), 0.4), ARM)
+    assert found is not None and found.rule == 'antenna_place'
+    assert found.severity is Severity.WARNING and not found.changes
+    place = found.settings['gnss']['T_base_sensor']
+    assert place[:2] == pytest.approx(np.add(ARM[:2], error), abs=0.3)
+    assert place[2:] == [1.7, 0.0, 0.0, 0.0, 1.0]
+    assert f'gnss.T_base_sensor: {place}' in found.remedy
+
+
+@pytest.mark.parametrize('drift', [0.0, -0.05])
+@pytest.mark.parametrize('late', [0.0, 0.4])
+@pytest.mark.parametrize('noise', [0.03, 1.0])
+def test_an_antenna_in_its_place_is_left_alone(drift, late, noise):
+    for rate in (1.0, 5.0):
+        one = track(drift=drift, late=late, noise=noise, rate=rate)
+        assert antenna_finding('gnss', turned(one, 0.4), ARM) is None
+
+
+def test_along_the_car_it_cannot_be_told_from_a_lag_at_one_speed():
+    one = turned(track((4.0, 0.0), speed=0.0), 0.4)
+    assert antenna_finding('gnss', one, ARM) is None
+
+
+def test_across_the_car_it_can():
+    found = antenna_finding('gnss', turned(track((4.0, 2.0), speed=0.0), 0.4), ARM)
+    assert found is not None
+    assert found.settings['gnss']['T_base_sensor'][:2] == pytest.approx([ARM[0], 2.0], abs=0.3)
+    assert '2.0 m left' in found.text and 'ahead' not in found.text
+
+
+def test_on_a_straight_road_nothing_is_said():
+    assert antenna_finding('gnss', turned(track((4.0, 2.0), turns=0.0), 0.4), ARM) is None
+    assert antenna_finding('gnss', turned(track((4.0, 2.0), turns=0.02), 0.4), ARM) is None
+
+
+def test_a_few_wrong_fixes_do_not_matter():
+    one = turned(track((0.0, 2.0)), 0.4)
+    one.enu[[7, 20, 33]] += [9.0, -5.0]
+    found = antenna_finding('gnss', one, ARM)
+    assert found is not None
+    assert found.settings['gnss']['T_base_sensor'][:2] == pytest.approx([ARM[0], 2.0], abs=0.3)
+    one = turned(track(), 0.4)
+    one.enu[[7, 20, 33]] += [9.0, -5.0]
+    assert antenna_finding('gnss', one, ARM) is None
+
+
+def test_few_fixes_tell_nothing():
+    one = track((4.0, 2.0))
+    few = TurningTrack(one.stamps[:9], one.enu[:9], one.local[:9], one.headings[:9])
+    assert antenna_finding('gnss', few, ARM) is None
