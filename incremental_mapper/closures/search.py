@@ -1,5 +1,6 @@
 """Local maps in, closures out: candidates, their verification, and what they say together."""
 
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -13,7 +14,7 @@ from incremental_mapper.closures.candidate_pairs import (
 )
 from incremental_mapper.closures.consistency import consistent_set
 from incremental_mapper.closures.local_maps import LocalMap
-from incremental_mapper.closures.verification import Closure, Verifier, probable
+from incremental_mapper.closures.verification import Closure, Verifier, conceivable, probable
 from incremental_mapper.config import ClosureSettings, OdometrySettings
 
 Pair: TypeAlias = tuple[int, int]
@@ -21,6 +22,8 @@ Pair: TypeAlias = tuple[int, int]
 Tested: TypeAlias = Mapping[Pair, Closure | str]
 """What registration has led to for pairs of local maps of one drive."""
 NOT_TESTED: Tested = {}
+LEFT = 'left_for_later'
+"""Why a pair is no closure yet: as many as were wanted were registered before it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,6 +47,7 @@ def find_closures(
     placed: bool = True,
     recognise: bool = True,
     tested: Tested = NOT_TESTED,
+    most: float = math.inf,
 ) -> Found:
     """Find out which local maps show the same place.
 
@@ -56,6 +60,7 @@ def find_closures(
         placed: Whether all poses are in one frame, so that what lies side by side is a candidate.
         recognise: Whether to look for places by what they look like, too, where that is possible.
         tested: Pairs of one drive that need not be registered again, nor have points.
+        most: Pairs that are registered at the most.
 
     Returns:
         The closures, the first always before the second in ``maps``.
@@ -65,8 +70,8 @@ def find_closures(
         candidates += by_looks(maps, settings)
     verifier = Verifier(maps, settings, odometry)
     refused: Counter[str] = Counter()
-    tried = 0
-    known_pairs = dict(tested)
+    tried = registered = 0
+    known_pairs, registrations = dict(tested), dict(tested)
     best: dict[tuple[int, int], Closure] = {}
     for candidate in sorted(candidates, key=lambda one: (one.second, one.first)):
         pair = candidate.first, candidate.second
@@ -74,18 +79,23 @@ def find_closures(
             continue
         tried += 1
         names = maps[candidate.first].cluster, maps[candidate.second].cluster
-        before = known_pairs.get(names)
-        outcome = before
-        known = None
-        if not isinstance(before, str):
+        outcome = known_pairs.get(names)
+        if not isinstance(outcome, str):
+            # What is improbable, more of the drive may change; what registration says stays.
             known = relative(maps[candidate.first], maps[candidate.second])
-        if outcome is None:
-            outcome = verifier.verify(candidate, known)
-        if isinstance(outcome, Closure) and before is not None:
+            if outcome is None and conceivable(candidate, known):
+                if registered < most:
+                    registered += 1
+                    outcome = verifier.verify(candidate, known)
+                    registrations[names] = outcome
+                else:
+                    outcome = LEFT
+            if outcome is None or (isinstance(outcome, Closure) and not probable(outcome, known)):
+                outcome = 'improbable'  # by looks it may lie elsewhere, so it may be tried again
+            elif outcome != LEFT:
+                known_pairs[names] = outcome
+        if isinstance(outcome, Closure):
             outcome = replace(outcome, first=candidate.first, second=candidate.second)
-            outcome = outcome if probable(outcome, known) else 'improbable'
-        elif outcome != 'improbable':  # which more of the drive may change
-            known_pairs[names] = outcome
         if isinstance(outcome, str):
             refused[outcome] += 1
         else:
@@ -93,4 +103,4 @@ def find_closures(
     held, contradicted, alone = consistent_set(list(best.values()), maps)
     refused['contradicted'] += len(contradicted)
     refused['alone'] += len(alone)
-    return Found(tuple(held), tried, +refused, known_pairs)
+    return Found(tuple(held), tried, +refused, {**registrations, **known_pairs})

@@ -83,11 +83,10 @@ class Verifier:
 
         Args:
             candidate: Two local maps.
-            known: What is known of their relative pose.
+            known: What is known of their relative pose. It must allow the candidate
+                (``conceivable``), and may still speak against what comes of it (``probable``).
         """
         pose = candidate.T_first_second
-        if known is not None and _distance(known, pose, GUESS) > IMPROBABLE:
-            return 'improbable'
         first, second = self._ready(candidate.first), self._ready(candidate.second)
         reaches = _reaches(known)
         matched = _matched(first.scan, second.scan, pose, reaches)
@@ -104,8 +103,6 @@ class Verifier:
         )
         covariance = floor if covariance is None else covariance + floor
         found = Closure(candidate.first, candidate.second, pose, covariance, overlap)
-        if not probable(found, known):
-            return 'improbable'
         back = _matched(second.scan, first.scan, pose.inverse(), reaches[-1:])
         if back is None or not _same(back.inverse(), pose):
             return 'one_way'
@@ -125,6 +122,16 @@ class Verifier:
         if len(self._prepared) > KEPT:
             self._prepared.popitem(last=False)
         return made
+
+
+def conceivable(candidate: Candidate, known: Known | None) -> bool:
+    """Whether what is known of the relative pose allows a closure near where a candidate lies.
+
+    Args:
+        candidate: It.
+        known: What is known; None is nothing.
+    """
+    return known is None or _distance(known, candidate.T_first_second, GUESS) <= IMPROBABLE
 
 
 def probable(closure: Closure, known: Known | None) -> bool:

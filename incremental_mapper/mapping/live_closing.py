@@ -18,11 +18,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from incremental_mapper.blas import single_threaded_blas
-from incremental_mapper.closures.search import Tested
 from incremental_mapper.config import Config
 from incremental_mapper.errors import MapperError
 from incremental_mapper.graph.factors import Factor, closure_factor
-from incremental_mapper.mapping.loop_closing import MOST_ITERATIONS, Closed, find_loops
+from incremental_mapper.mapping.loop_closing import (
+    MOST_ITERATIONS,
+    NOT_LOOKED,
+    Closed,
+    Looked,
+    close_more_loops,
+    find_loops,
+)
 from incremental_mapper.mapping.statistics import MapStatistics
 from incremental_mapper.smoothing.batch import make_graph, optimize
 from incremental_mapper.smoothing.correction import Evidence, evidence_on
@@ -79,13 +85,13 @@ class Search:
     """What came of a search.
 
     Attributes:
-        tested: The pairs of local maps that were compared so far, and with what result.
+        looked: What was looked at so far, and with what result.
         told: What ``closures`` in the statistics counts.
         loops: All closures of the map; what was not among them before is new.
         correction: What they change; None where they are those that it has already.
     """
 
-    tested: Tested
+    looked: Looked
     told: dict[str, int]
     loops: tuple[FoundLoop, ...] = ()
     correction: Correction | None = None
@@ -156,13 +162,13 @@ def unpacked(search: Search) -> Arrived:
 
 
 @single_threaded_blas()
-def search_loops(state: GraphState, config: Config, tested: Tested) -> Search:
+def search_loops(state: GraphState, config: Config, looked: Looked) -> Search:
     """Look for closed loops in G(t), and find out what they change.
 
     Args:
         state: G(t) whose frontier is held; it stays as it is.
         config: All settings.
-        tested: Pairs that were compared before.
+        looked: What was looked at before.
 
     Returns:
         All closures of G(t), and what is to be done.
@@ -170,19 +176,19 @@ def search_loops(state: GraphState, config: Config, tested: Tested) -> Search:
     base = [factor.factor for factor in (*state.factors, *state.closures)]
     solution = optimize(make_graph(base), state.all_values(), MOST_ITERATIONS)
     if solution is None:
-        return Search(tested, {})
-    closed = find_loops(state, solution.values, config, tested)
+        return Search(looked, {})
+    closed = find_loops(state, solution.values, config, looked)
     told = closed.told()
     before = {_ends(factor) for factor in state.closures}
     # An empty search says nothing of the closures that there are.
     if not closed.searched or {_ends(factor) for factor in closed.factors} == before:
-        return Search(closed.tested, told)
+        return Search(closed.looked, told)
     plain = [factor.factor for factor in state.factors]
     after = [*plain, *(factor.factor for factor in closed.factors)]
     evidence = evidence_on(state.prior, closed.values, base, after)
     correction = _correction(state, closed.values, evidence)
     loops = tuple(_plain_loop(factor) for factor in closed.factors)
-    return Search(closed.tested, told, loops, correction)
+    return Search(closed.looked, told, loops, correction)
 
 
 def _ends(factor: Factor) -> tuple[int, ...]:
@@ -232,7 +238,7 @@ class LiveLoops:
         self.told: dict[str, int] = {}
         self.closed = 0
         self._state, self._config, self._runner = state, config, runner
-        self._tested: Tested = {}
+        self._looked = NOT_LOOKED
         self._places = _Places(config)
         self._running = False
         self._wanted = False
@@ -262,6 +268,15 @@ class LiveLoops:
         """End a search that goes on."""
         self._runner.close()
 
+    def of_all(self, values: gtsam.Values, most: float) -> Closed:
+        """All closures of G(t), for what is saved of it; what was compared is not compared again.
+
+        Args:
+            values: Its optimum, with the closures that it has.
+            most: Pairs of places that are compared at the most.
+        """
+        return close_more_loops(self._state, values, self._config, self._looked, most)
+
     def counted(self, statistics: MapStatistics) -> MapStatistics:
         """The statistics of the windows with the closures that G(t) has.
 
@@ -280,12 +295,12 @@ class LiveLoops:
         return time.monotonic() >= self._ended + pause
 
     def _begin(self) -> None:
-        state, config, tested = self._state, self._config, self._tested
+        state, config, looked = self._state, self._config, self._looked
         state.hold()
         self._corrections = state.corrections
         self._began = self._ended = time.monotonic()
         self._wanted = False
-        self._running = self._runner.start(lambda: search_loops(state, config, tested))
+        self._running = self._runner.start(lambda: search_loops(state, config, looked))
         if not self._running:
             state.release()
 
@@ -296,7 +311,7 @@ class LiveLoops:
             state.release()
             return self._failed(arrived.trouble)
         self._failures = 0
-        self._tested = search.tested
+        self._looked = search.looked
         self.told = search.told or self.told
         if search.correction is None:
             state.release()

@@ -3,6 +3,7 @@
 They come after the windows: no candidate of a window competes with them, and G(t) stays as it is.
 """
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -11,9 +12,9 @@ import gtsam
 import numpy as np
 
 from incremental_mapper.closures.candidate_pairs import INSTALL, Known, by_place, can_recognise
-from incremental_mapper.closures.local_maps import LocalMap, cut_local_maps
+from incremental_mapper.closures.local_maps import LocalMap, Stretch, cut_local_maps, cut_way
 from incremental_mapper.closures.search import NOT_TESTED, Found, Tested, find_closures
-from incremental_mapper.config import Config
+from incremental_mapper.config import ClosureSettings, Config
 from incremental_mapper.errors import OutputError
 from incremental_mapper.graph.factors import Factor, FactorKind, closure_factor
 from incremental_mapper.mapping.statistics import MapStatistics, percent_saved
@@ -35,12 +36,23 @@ NO_LIBRARY = f'places are recognised only where they are thought to be: {INSTALL
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Looked:
+    """What searches of a map that grows have looked at: its way as they cut it, and pairs of it."""
+
+    stretches: tuple[Stretch, ...] = ()
+    tested: Tested = field(default_factory=dict)
+
+
+NOT_LOOKED = Looked()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Closed:
     """A map with its loops closed.
 
     ``factors`` are the closures, ``values`` what all of it says; ``searched`` counts the candidates
-    and ``refused`` why some of them are no closures. ``note`` is a remark for the user; ``tested``
-    are the pairs that were registered.
+    and ``refused`` why some of them are no closures. ``note`` is a remark for the user; ``looked``
+    is what need not be looked at again.
     """
 
     values: gtsam.Values
@@ -48,7 +60,7 @@ class Closed:
     searched: int = 0
     refused: Counter[str] = field(default_factory=Counter)
     note: str = ''
-    tested: Tested = field(default_factory=dict)
+    looked: Looked = NOT_LOOKED
 
     def told(self) -> dict[str, int]:
         """What statistics tell of it; empty where nothing was compared."""
@@ -90,8 +102,9 @@ def close_loops(state: GraphState, values: gtsam.Values, config: Config) -> Clos
     settings = config.closure
     if not settings.enabled or not config.graph.final_optimization:
         return Closed(values)
+    stretches = cut_way(state.clusters, values, settings.map_length)
     try:
-        maps = cut_local_maps(state.clusters, state.scans, values, settings)
+        maps = cut_local_maps(stretches, state.clusters, state.scans, values, settings)
     except OutputError:
         return Closed(values, note=UNREADABLE)
     if not maps or maps[-1].travelled - maps[0].travelled < settings.min_travel:
@@ -99,11 +112,10 @@ def close_loops(state: GraphState, values: gtsam.Values, config: Config) -> Clos
     found = _found(state.factors, maps, values, config)
     if found is None:
         return Closed(values)
-    told = maps[-1].travelled < RECOGNISE_FROM or can_recognise()
-    return _closed(state, maps, found, values, config, '' if told else NO_LIBRARY)
+    return _closed(state, maps, found, values, config, _library_note(stretches, settings))
 
 
-def find_loops(state: GraphState, values: gtsam.Values, config: Config, tested: Tested) -> Closed:
+def find_loops(state: GraphState, values: gtsam.Values, config: Config, looked: Looked) -> Closed:
     """As ``close_loops`` for a map that grows: what was compared before is not compared again.
 
     Only what lies near each other is compared: places that look alike are left to what is saved.
@@ -112,29 +124,80 @@ def find_loops(state: GraphState, values: gtsam.Values, config: Config, tested: 
         state: G(t), which stays as it is.
         values: Its optimum, with the closures that it has.
         config: All settings.
-        tested: Pairs that were registered before.
+        looked: What was looked at before.
 
     Returns:
         All closures, those that the map has among them, and the values with them; where no pair is
         new, ``values`` and no factors.
     """
+    # The newest stretch is not whole.
+    stretches = cut_way(state.clusters, values, config.closure.map_length, looked.stretches)[:-1]
+    found = _more(state, stretches, values, config, looked, math.inf, False)
+    return Closed(values, looked=looked) if found is None else found
+
+
+def close_more_loops(
+    state: GraphState, values: gtsam.Values, config: Config, looked: Looked, most: float
+) -> Closed:
+    """As ``close_loops`` for a map whose loops were closed while it grew, for what is saved of it.
+
+    Args:
+        state: G(t), which stays as it is.
+        values: Its optimum, with the closures that it has.
+        config: All settings.
+        looked: What was looked at before.
+        most: Pairs that are registered at the most.
+
+    Returns:
+        All closures, and the values with them.
+    """
     settings = config.closure
-    # The newest local map is not whole.
-    maps = cut_local_maps(state.clusters, state.scans, values, settings, wanted=())[:-1]
+    stretches = cut_way(state.clusters, values, settings.map_length, looked.stretches)
+    found = _more(state, stretches, values, config, looked, most, can_recognise())
+    closed = found or Closed(values, tuple(state.closures))
+    return replace(closed, note=_library_note(stretches, settings))
+
+
+def _more(
+    state: GraphState,
+    stretches: Sequence[Stretch],
+    values: gtsam.Values,
+    config: Config,
+    looked: Looked,
+    most: float,
+    recognise: bool,
+) -> Closed | None:
+    """What there is beyond what was looked at; None where there is nothing to be compared."""
+    settings, tested = config.closure, looked.tested
+    maps = cut_local_maps(stretches, state.clusters, state.scans, values, settings, wanted=())
     pairs = [
         (maps[one.first].cluster, maps[one.second].cluster) for one in by_place(maps, settings)
     ]
     wanted = {cluster for pair in pairs if pair not in tested for cluster in pair}
-    if not wanted:
-        return Closed(values, tested=tested)
+    if not wanted and not recognise:
+        return None
     try:
-        maps = cut_local_maps(state.clusters, state.scans, values, settings, wanted=wanted)[:-1]
+        maps = cut_local_maps(
+            stretches,
+            state.clusters,
+            state.scans,
+            values,
+            settings,
+            wanted=None if recognise else wanted,
+        )
     except OutputError:
-        return Closed(values, tested=tested)
-    found = _found([*state.factors, *state.closures], maps, values, config, tested, False)
+        return None
+    found = _found([*state.factors, *state.closures], maps, values, config, tested, recognise, most)
     if found is None:
-        return Closed(values, tested=tested)
-    return _closed(state, maps, found, values, config, '')
+        return None
+    closed = _closed(state, maps, found, values, config, '')
+    return replace(closed, looked=Looked(tuple(stretches), found.tested))
+
+
+def _library_note(stretches: Sequence[Stretch], settings: ClosureSettings) -> str:
+    """A remark where a map may have drifted further than it is looked for."""
+    short = len(stretches) * settings.map_length < RECOGNISE_FROM
+    return '' if short or can_recognise() else NO_LIBRARY
 
 
 def _found(
@@ -144,6 +207,7 @@ def _found(
     config: Config,
     tested: Tested = NOT_TESTED,
     recognise: bool = True,
+    most: float = math.inf,
 ) -> Found | None:
     """Closures among local maps; None where it cannot be told what is known already."""
     try:
@@ -157,7 +221,13 @@ def _found(
         return Known(first.T_map_base.between(second.T_map_base), covariance)
 
     return find_closures(
-        maps, relative, config.closure, config.odometry, recognise=recognise, tested=tested
+        maps,
+        relative,
+        config.closure,
+        config.odometry,
+        recognise=recognise,
+        tested=tested,
+        most=most,
     )
 
 
@@ -186,7 +256,6 @@ def _closed(
         searched=found.candidates,
         refused=refused,
         note=note,
-        tested=found.tested,
     )
 
 

@@ -1,5 +1,6 @@
 """Measurements in, G(t), poses, map and statistics out: the only place that keeps state."""
 
+import math
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -248,15 +249,22 @@ class Mapper:
         return self.result()
 
     @single_threaded_blas()
-    def result(self) -> MapResult:
+    def result(self, most: float = math.inf) -> MapResult:
         """The map of all windows so far; the mapper can go on afterwards.
 
         G(t) is optimised once more for it if ``graph.final_optimization`` says so, and again with
         the loops that the drive closes (``closure``).
+
+        Args:
+            most: Where loops are closed while the map grows: pairs of places that are compared now
+                at the most, beyond those that were compared already.
         """
         values, failed = final_values(self._state, self.config)
         self._totals.solver_failures += int(failed)
-        closed = close_loops(self._state, values, self.config)
+        if self._loops is None:
+            closed = close_loops(self._state, values, self.config)
+        else:
+            closed = self._loops.of_all(values, most)
         values = closed.values
         clusters = tuple(self._state.clusters)
         return MapResult(

@@ -1,7 +1,6 @@
 """Journals that a node before this one left behind: their maps are made beside the mapping."""
 
 import contextlib
-import os
 import subprocess
 import sys
 import threading
@@ -12,6 +11,7 @@ from incremental_mapper.config import Config
 from incremental_mapper.results.journal.journal_writer import SUFFIX
 from incremental_mapper.ros.map_session import journal_folder
 from incremental_mapper.ros.updates import Trouble, Update
+from incremental_mapper.ros.urgency import make_way
 
 NICE = 10
 """By how much a recovery is less urgent than the windows."""
@@ -51,8 +51,7 @@ class LeftOver:
                     text=True,
                     start_new_session=True,
                 )
-                with contextlib.suppress(OSError):
-                    os.setpriority(os.PRIO_PROCESS, process.pid, NICE)
+                make_way(NICE, process.pid)
                 said, trouble = process.communicate()
             except OSError as error:
                 self._emit(Trouble(f'{path}: not recovered: {error}'))

@@ -28,13 +28,14 @@ from incremental_mapper.errors import MapperError
 from incremental_mapper.results.draw import MODULE as DRAW
 from incremental_mapper.ros.forks import Idleness, forked, stand_alone, tell
 from incremental_mapper.ros.saving import Saved
+from incremental_mapper.ros.urgency import make_way
 
 MOST = 2
 """Saves that may be under way: one that writes, one that waits for its turn with its snapshot."""
 LOOK = 5.0
 """Seconds between two looks at whether a save gets on."""
 NICE = 5
-"""By how much a save is less urgent than the windows."""
+"""By how much a save is less urgent than the windows, and what follows it again than a save."""
 LENGTH = struct.Struct('<Q')
 
 
@@ -206,7 +207,7 @@ def _save_there(job: Job, pipe: int, turn: int | None) -> NoReturn:
     try:
         stand_alone()
         if job.quiet:
-            os.nice(NICE)
+            make_way(NICE)
         if turn is not None:
             while not _took(turn):
                 time.sleep(0.1)  # which is work, if little, for whoever watches
@@ -216,7 +217,7 @@ def _save_there(job: Job, pipe: int, turn: int | None) -> NoReturn:
         if turn is not None:
             fcntl.lockf(turn, fcntl.LOCK_UN)
         if outcome.saved is not None:
-            os.nice(19)
+            make_way(NICE)
             _follow(job, outcome.saved.folder, pipe)
     except BaseException:
         tell(pipe, traceback.format_exc().encode())

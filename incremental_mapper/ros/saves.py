@@ -4,6 +4,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from incremental_mapper.checks.finding import Finding, Severity
@@ -24,6 +25,9 @@ from incremental_mapper.ros.updates import Reply, Trouble, Update
 PICTURES = 10.0
 """Seconds for which the end of the node waits for pictures; they are made without it, too, unless
 whatever the node runs in ends with it."""
+COMPARED = 40
+"""Pairs of places that a save of a map that goes on compares at the most, some ten seconds: what
+is left, the search beside the windows looks at, and the save at the end."""
 BUSY = 'two maps are being saved already; call again when they are'
 
 
@@ -59,7 +63,8 @@ class Saves:
             self._emit(Reply(command.ticket, success, message))
 
         settings = self._settings()
-        job = _job(snapshot, self._target(settings.folder), settings.pictures)
+        bounded = replace(snapshot, most=COMPARED)
+        job = _job(bounded, self._target(settings.folder), settings.pictures)
         self._processes.start(job, done)
 
     def ends(self, snapshot: Snapshot, last: bool = False) -> None:

@@ -3,6 +3,7 @@
 Data only. Pictures and ``candidates.parquet`` take longer and can be made afterwards.
 """
 
+import math
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -44,6 +45,7 @@ class Snapshot:
         spool: The candidates of all windows, where they are kept.
         journal: The map's journal, if there is one.
         earlier: The map that it goes on with: what is saved is the map of both.
+        most: Pairs of places that are compared at the most, see ``Mapper.result``.
     """
 
     mapper: Mapper
@@ -55,6 +57,7 @@ class Snapshot:
     spool: CandidateSpool | None = None
     journal: Journal | None = None
     earlier: EarlierMap | None = None
+    most: float = math.inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +121,7 @@ def save_map(target: Target, snapshot: Snapshot) -> Saved:
     Raises:
         OutputError: There is nothing to save, or nothing of it can be written anywhere.
     """
-    result = snapshot.mapper.result()
+    result = snapshot.mapper.result(snapshot.most)
     if not result.clusters:
         raise OutputError(EMPTY)
     config = snapshot.mapper.config

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from town import pose, seen_points, town, wall
 
+from incremental_mapper.candidates.model import Cluster, CoreKind, CoreMeasurement
 from incremental_mapper.closures.candidate_pairs import (
     Candidate,
     Known,
@@ -15,10 +16,12 @@ from incremental_mapper.closures.candidate_pairs import (
     comparable,
 )
 from incremental_mapper.closures.consistency import consistent_set
-from incremental_mapper.closures.local_maps import LocalMap
-from incremental_mapper.closures.search import find_closures
-from incremental_mapper.closures.verification import Closure, Verifier
+from incremental_mapper.closures.local_maps import LocalMap, cut_way
+from incremental_mapper.closures.search import LEFT, find_closures
+from incremental_mapper.closures.verification import Closure, Verifier, conceivable
 from incremental_mapper.config import ClosureSettings, OdometrySettings
+from incremental_mapper.smoothing.graph_state import PlacedCluster
+from incremental_mapper.variables import pose_key
 
 SETTINGS, ODOMETRY = ClosureSettings(), OdometrySettings()
 TIGHT = np.diag(np.square([0.01] * 3 + [0.3] * 3))
@@ -70,7 +73,9 @@ def test_another_place_is_none(maps):
 def test_what_contradicts_the_known_pose_is_none_however_well_it_fits(maps):
     far = Known(pose(40.0, 5.0, 178.0), TIGHT)
     candidate = by_place(maps[:2], SETTINGS)[0]
-    assert Verifier(maps, SETTINGS, ODOMETRY).verify(candidate, far) == 'improbable'
+    assert not conceivable(candidate, far) and conceivable(candidate, known(maps, 0, 1, LOOSE))
+    found = find_closures(maps[:2], lambda *_: far, SETTINGS, ODOMETRY)
+    assert found.closures == () and found.refused == {'improbable': 1} and found.tested == {}
 
 
 def test_candidates_by_place_are_near_and_a_way_apart(maps):
@@ -117,6 +122,49 @@ def test_a_closure_that_nothing_confirms_is_left_out():
     assert (held, contradicted, alone) == ([], [], twice)  # one witness, seen twice
     held, _, alone = consistent_set([*twice, closure(maps, 1, 5)], maps)
     assert len(held) == 2 and len(alone) == 1
+
+
+def test_no_more_pairs_are_registered_than_wanted_and_none_twice(maps):
+    loose = known(maps, 0, 1, LOOSE)
+    first = find_closures(maps, lambda *_: loose, SETTINGS, ODOMETRY, most=1)
+    assert first.refused == {LEFT: 1, 'improbable': 1, 'alone': 1} and set(first.tested) == {(1, 2)}
+    without = [replace(one, points=np.zeros((0, 3))) for one in maps]
+    again = find_closures(
+        without, lambda *_: loose, SETTINGS, ODOMETRY, tested=first.tested, most=0
+    )
+    assert again.refused == first.refused and again.tested == first.tested
+
+
+def test_what_registration_finds_improbable_is_not_registered_again(maps):
+    # Where it lies by its candidate it may be, where registration puts it not.
+    tight = known(maps, 0, 1, 1e-4 * TIGHT)
+    first = find_closures(maps[:2], lambda *_: tight, SETTINGS, ODOMETRY)
+    assert first.refused == {'improbable': 1} and isinstance(first.tested[1, 2], Closure)
+    again = find_closures(
+        maps[:2], lambda *_: tight, SETTINGS, ODOMETRY, tested=first.tested, most=0
+    )
+    assert again.refused == {'improbable': 1}
+
+
+def test_stretches_stay_while_poses_move_and_the_way_grows():
+    placed = [PlacedCluster(i, i, Cluster((CoreMeasurement(i, 'top', CoreKind.LIDAR),)))
+              for i in range(200)]  # fmt: skip
+
+    def values(step):
+        made = gtsam.Values()
+        for number in range(200):
+            made.insert(pose_key(number), pose(step * number, 0.0))
+        return made
+
+    whole = cut_way(placed, values(1.0), 20.0)
+    assert [one.end for one in whole] == list(range(20, 201, 20))
+    assert [one.middle for one in whole] == list(range(10, 200, 20))
+    before = cut_way(placed[:130], values(1.0), 20.0)[:-1]
+    assert before == whole[:6]
+    grown = cut_way(placed, values(1.1), 20.0, before)
+    assert grown[:6] == before and grown[6:] != whole[6:]
+    assert [one.end for one in grown[6:]] == [139, 157, 175, 193, 200]
+    assert cut_way(placed[:100], values(1.0), 20.0, whole[:5]) == whole[:5]
 
 
 def test_closures_of_two_drives_are_found_as_those_of_one():

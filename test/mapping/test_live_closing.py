@@ -1,5 +1,6 @@
 """A street driven there and back: the loop is closed while the map grows, and the map goes on."""
 
+import math
 from itertools import pairwise
 
 import gtsam
@@ -9,6 +10,7 @@ from test_loop_closing import SETTINGS, STEP, errors, way
 from town import pose, seen_points, town
 
 from incremental_mapper.candidates.model import Cluster, CoreKind, CoreMeasurement
+from incremental_mapper.closures.search import LEFT
 from incremental_mapper.config import Config
 from incremental_mapper.graph.factors import FactorKind, between_factor, pose_prior, pose_sigmas
 from incremental_mapper.graph.frontier import Frontier
@@ -23,7 +25,7 @@ from incremental_mapper.mapping.live_closing import (
     RunHere,
     live,
 )
-from incremental_mapper.mapping.loop_closing import solve_with_closures
+from incremental_mapper.mapping.loop_closing import close_loops, solve_with_closures
 from incremental_mapper.mapping.newest_state import NewestState
 from incremental_mapper.mapping.odometry_frame import OdometryFrame
 from incremental_mapper.smoothing.batch import make_graph
@@ -210,6 +212,21 @@ def test_it_is_what_one_solve_of_everything_says(closed):
     assert known == pytest.approx(expected, rel=0.2)
 
 
+def test_what_is_saved_has_its_closures_without_comparing_anything_again(closed):
+    drive, loops, _, _ = closed
+    values, failed = final_values(drive.state, LIVE)
+    saved = loops.of_all(values, most=0)
+    ends = [one.keys for one in drive.state.closures]
+    assert not failed and [one.keys for one in saved.factors] == ends and saved.refused[LEFT] > 0
+    assert errors(saved.values, drive.true).max() < 1.0
+    more = loops.of_all(values, most=math.inf)
+    assert len(more.factors) >= len(ends) and LEFT not in more.refused
+    # A map that is searched as a whole when it is saved has no more to tell.
+    whole = close_loops(GraphState(clusters=drive.state.clusters, factors=drive.state.factors,
+                                   scans=drive.state.scans), values, LIVE)  # fmt: skip
+    assert abs(len(more.factors) - len(whole.factors)) <= 1
+
+
 def test_a_journal_of_it_says_the_same(closed):
     # It has what left the lag as it was then, before the correction and after it.
     drive, _, rows = closed[0], closed[1], closed[3]
@@ -221,7 +238,10 @@ def test_a_journal_of_it_says_the_same(closed):
     assert np.abs(jump(values, open_values.size())).max() > 0.1
     written = GraphState(factors=state.factors, clusters=state.clusters, values=values)
     recovered, _ = final_values(written, LIVE)
-    ours, _ = final_values(state, LIVE)
+    open_state = GraphState(
+        factors=state.factors, clusters=state.clusters, values=state.all_values()
+    )
+    ours, _ = final_values(open_state, LIVE)
     apart = ours.atPose3(newest).localCoordinates(recovered.atPose3(newest))
     assert np.abs(apart).max() < 1e-3
 

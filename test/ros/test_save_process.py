@@ -23,7 +23,7 @@ class Told:
 
     def finish(self):
         self.processes.wait()
-        assert self.processes.wait_for_pictures(60.0)
+        assert self.processes.wait_for_pictures(300.0)
 
 
 def test_saves_go_on_beside_and_one_after_the_other(tmp_path):

@@ -9,6 +9,7 @@ import gtsam
 import numpy as np
 
 from incremental_mapper.mapping.live_closing import Correction, Search
+from incremental_mapper.mapping.loop_closing import NOT_LOOKED, Looked
 from incremental_mapper.ros.search_process import ENDED, FAULT, SearchProcess
 from incremental_mapper.smoothing.correction import Evidence
 from incremental_mapper.variables import pose_key
@@ -36,7 +37,7 @@ def test_what_is_found_comes_back_with_its_values():
 
     def search():
         correction = Correction(evidence, parts, values(3, 4), 5, 1.5)
-        return Search({(0, 4): 'alone'}, {'candidates': os.getpid()}, (), correction)
+        return Search(Looked((), {(0, 4): 'alone'}), {'candidates': os.getpid()}, (), correction)
 
     assert process.start(search)
     arrived = answer(process)
@@ -53,7 +54,7 @@ def test_a_process_that_dies_is_told_of():
     arrived = answer(process)
     assert arrived.search is None and arrived.trouble == ENDED
     # The next one may be well.
-    assert process.start(lambda: Search({}, {'candidates': 1}))
+    assert process.start(lambda: Search(NOT_LOOKED, {'candidates': 1}))
     assert answer(process).search.told == {'candidates': 1}
 
 
