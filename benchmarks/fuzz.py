@@ -49,6 +49,9 @@ BATCH = 100
 queue is deep, each in the room of the largest that it ever held."""
 ALONE_RATE = 0.5
 """Of the drive's time, at which it is sent where nothing else is among it."""
+START = 600.0
+"""Seconds that the node has to start: one that was never run compiles first, on a busy machine for
+minutes."""
 LOOK = 0.2
 """Seconds between two looks at a program's memory."""
 TYPES = {
@@ -149,7 +152,7 @@ def _node(settings: Path, out: Path, domain: int) -> Iterator[tuple[Any, Any, Pa
         open_client(domain) as client,
     ):
         client.wait(
-            lambda: bool(client.diagnostics), 'the node', 120.0, lambda: process.poll() is None
+            lambda: bool(client.diagnostics), 'the node', START, lambda: process.poll() is None
         )
         yield process, client, log
 
