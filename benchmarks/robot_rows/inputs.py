@@ -22,7 +22,7 @@ PATIENCE = 60.0
 
 def received(folder: Path, points: int, *options: str, **environment: str) -> dict[str, Any]:
     """What the node says of its LiDAR after another process has sent 60 clouds at 10 Hz."""
-    ours = local_environment(free_domain())
+    ours = {**local_environment(free_domain()), **environment}
     parameters = {'lidars.names': '[top]', 'diagnostics.period': 0.5}
     words = [sys.executable, str(SENDER), '/points_top', '--points', str(points)]
     with (
@@ -33,9 +33,7 @@ def received(folder: Path, points: int, *options: str, **environment: str) -> di
         client.wait(
             lambda: bool(client.diagnostics), 'the node', PATIENCE, lambda: node.poll() is None
         )
-        subprocess.run(
-            [*words, '--count', str(SENT), *options], env={**ours, **environment}, check=True
-        )
+        subprocess.run([*words, '--count', str(SENT), *options], env=ours, check=True)
         # Once the sender has gone, nothing is decided any more.
         decided = [
             parts['top']['reliability']
@@ -92,5 +90,8 @@ def best_effort(folder: Path) -> Seen:
 def best_effort_with_room(folder: Path) -> Seen:
     """60 clouds of 6.3 MB from a best-effort publisher with config/fastdds_large_clouds.xml."""
     part = received(folder, 131_072, '--best-effort', FASTRTPS_DEFAULT_PROFILES_FILE=str(PROFILE))
-    now = f'received {part["received"]} of {SENT}, {part["reliability"]}'
+    now = (
+        f'received {part["received"]} of {SENT}, {part["reliability"]}, '
+        f'{part["lost_in_transport"]} counted as lost'
+    )
     return Seen(now, part['received'] == SENT)

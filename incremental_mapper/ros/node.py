@@ -64,6 +64,10 @@ from incremental_mapper.settings import merge
 
 TICK = 0.1
 """Seconds between two looks at what is due, and the longest wait for a signal."""
+SWITCH = 0.0005
+"""Seconds for which a thread may keep Python's lock where another one waits for it. Of Python's own
+5 ms each message and each pose that is published would wait several times, beside a worker that
+computes."""
 ARRIVAL_LIMIT = 1.0
 """Seconds for which a flush lets messages come in that were sent before it."""
 
@@ -365,6 +369,7 @@ def main(args: list[str] | None = None) -> int:
     words = sys.argv if args is None else args
     read_own_arguments(words[1:])
     search_little()
+    sys.setswitchinterval(SWITCH)
     wanted, again = threading.Event(), threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: (again if wanted.is_set() else wanted).set())
