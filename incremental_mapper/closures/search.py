@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
@@ -48,6 +48,7 @@ def find_closures(
     recognise: bool = True,
     tested: Tested = NOT_TESTED,
     most: float = math.inf,
+    closed: Collection[Pair] = (),
 ) -> Found:
     """Find out which local maps show the same place.
 
@@ -61,6 +62,8 @@ def find_closures(
         recognise: Whether to look for places by what they look like, too, where that is possible.
         tested: Pairs of one drive that need not be registered again, nor have points.
         most: Pairs that are registered at the most.
+        closed: Tested pairs whose closures are among what is known already, which so cannot speak
+            against them.
 
     Returns:
         The closures, the first always before the second in ``maps``.
@@ -80,7 +83,7 @@ def find_closures(
         tried += 1
         names = maps[candidate.first].cluster, maps[candidate.second].cluster
         outcome = known_pairs.get(names)
-        if not isinstance(outcome, str):
+        if not isinstance(outcome, str) and (outcome is None or names not in closed):
             # What is improbable, more of the drive may change; what registration says stays.
             known = relative(maps[candidate.first], maps[candidate.second])
             if outcome is None and conceivable(candidate, known):

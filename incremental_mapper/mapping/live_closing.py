@@ -27,13 +27,14 @@ from incremental_mapper.mapping.loop_closing import (
     Closed,
     Looked,
     close_more_loops,
+    ends,
     find_loops,
 )
 from incremental_mapper.mapping.statistics import MapStatistics
 from incremental_mapper.smoothing.batch import make_graph, optimize
 from incremental_mapper.smoothing.correction import Evidence, evidence_on
 from incremental_mapper.smoothing.graph_state import GraphState
-from incremental_mapper.variables import cluster_of, pose_key
+from incremental_mapper.variables import pose_key
 
 PART = 300
 """Variables that are unpacked in one go, while no other thread may run: a few milliseconds."""
@@ -179,9 +180,9 @@ def search_loops(state: GraphState, config: Config, looked: Looked) -> Search:
         return Search(looked, {})
     closed = find_loops(state, solution.values, config, looked)
     told = closed.told()
-    before = {_ends(factor) for factor in state.closures}
+    before = {ends(factor) for factor in state.closures}
     # An empty search says nothing of the closures that there are.
-    if not closed.searched or {_ends(factor) for factor in closed.factors} == before:
+    if not closed.searched or {ends(factor) for factor in closed.factors} == before:
         return Search(closed.looked, told)
     plain = [factor.factor for factor in state.factors]
     after = [*plain, *(factor.factor for factor in closed.factors)]
@@ -191,12 +192,8 @@ def search_loops(state: GraphState, config: Config, looked: Looked) -> Search:
     return Search(closed.looked, told, loops, correction)
 
 
-def _ends(factor: Factor) -> tuple[int, ...]:
-    return tuple(cluster_of(key) for key in factor.keys)
-
-
 def _plain_loop(factor: Factor) -> FoundLoop:
-    first, second = _ends(factor)
+    first, second = ends(factor)
     between: Any = factor.factor
     noise = between.noiseModel()
     gaussian: Any = noise.noise() if isinstance(noise, gtsam.noiseModel.Robust) else noise

@@ -5,7 +5,7 @@ They come after the windows: no candidate of a window competes with them, and G(
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 
 import gtsam
@@ -13,7 +13,7 @@ import numpy as np
 
 from incremental_mapper.closures.candidate_pairs import INSTALL, Known, by_place, can_recognise
 from incremental_mapper.closures.local_maps import LocalMap, Stretch, cut_local_maps, cut_way
-from incremental_mapper.closures.search import NOT_TESTED, Found, Tested, find_closures
+from incremental_mapper.closures.search import NOT_TESTED, Found, Pair, Tested, find_closures
 from incremental_mapper.config import ClosureSettings, Config
 from incremental_mapper.errors import OutputError
 from incremental_mapper.graph.factors import Factor, FactorKind, closure_factor
@@ -21,7 +21,7 @@ from incremental_mapper.mapping.statistics import MapStatistics, percent_saved
 from incremental_mapper.smoothing.batch import make_graph, optimize
 from incremental_mapper.smoothing.graph_state import GraphState
 from incremental_mapper.smoothing.relative_covariance import RelativeCovariances
-from incremental_mapper.variables import pose_key
+from incremental_mapper.variables import cluster_of, pose_key
 
 MOST_ITERATIONS = 100
 REFUTED = 22.5
@@ -187,11 +187,13 @@ def _more(
         )
     except OutputError:
         return None
-    found = _found([*state.factors, *state.closures], maps, values, config, tested, recognise, most)
+    everything = [*state.factors, *state.closures]
+    closed = {ends(factor) for factor in state.closures}
+    found = _found(everything, maps, values, config, tested, recognise, most, closed)
     if found is None:
         return None
-    closed = _closed(state, maps, found, values, config, '')
-    return replace(closed, looked=Looked(tuple(stretches), found.tested))
+    more = _closed(state, maps, found, values, config, '')
+    return replace(more, looked=Looked(tuple(stretches), found.tested))
 
 
 def _library_note(stretches: Sequence[Stretch], settings: ClosureSettings) -> str:
@@ -208,6 +210,7 @@ def _found(
     tested: Tested = NOT_TESTED,
     recognise: bool = True,
     most: float = math.inf,
+    closed: Collection[Pair] = (),
 ) -> Found | None:
     """Closures among local maps; None where it cannot be told what is known already."""
     try:
@@ -228,6 +231,7 @@ def _found(
         recognise=recognise,
         tested=tested,
         most=most,
+        closed=closed,
     )
 
 
@@ -284,6 +288,12 @@ def solve_with_closures(
             return Closed(solution.values, factors)
         factors = held
     return Closed(values)
+
+
+def ends(closure: Factor) -> Pair:
+    """The clusters that a closure relates."""
+    first, second = (cluster_of(key) for key in closure.keys)
+    return first, second
 
 
 def _distance(closure: Factor, values: gtsam.Values) -> float:

@@ -144,6 +144,13 @@ def test_what_registration_finds_improbable_is_not_registered_again(maps):
         maps[:2], lambda *_: tight, SETTINGS, ODOMETRY, tested=first.tested, most=0
     )
     assert again.refused == {'improbable': 1}
+    # Where what is known is known by the closure itself, it is not asked.
+    asked = []
+    held = find_closures(
+        maps[:2], lambda *pair: asked.append(pair), SETTINGS, ODOMETRY, tested=first.tested,
+        closed={(1, 2)},
+    )  # fmt: skip
+    assert asked == [] and held.refused == {'alone': 1}
 
 
 def test_stretches_stay_while_poses_move_and_the_way_grows():
