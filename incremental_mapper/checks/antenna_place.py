@@ -37,12 +37,14 @@ class TurningTrack:
         enu: The fixes (K, 2), east and north, metres.
         local: Position of the antenna by odometry (K, 2), in a frame of its own, metres.
         headings: Of the car there (K,), radians.
+        sigma: Median horizontal deviation of the fixes, metres; less than it matters to no map.
     """
 
     stamps: NDArray[np.int64]
     enu: NDArray[np.float64]
     local: NDArray[np.float64]
     headings: NDArray[np.float64]
+    sigma: float
 
 
 def antenna_finding(
@@ -63,7 +65,8 @@ def antenna_finding(
         return None
     error, deviation = measured
     # A direction that does not show is left as it is.
-    error = np.where(np.abs(error) > np.maximum(LEAST, CERTAIN * deviation), error, 0.0)
+    least = np.maximum(max(LEAST, track.sigma), CERTAIN * deviation)
+    error = np.where(np.abs(error) > least, error, 0.0)
     if not error.any():
         return None
     x, y = (float(value) for value in np.round(lever_arm[:2] + error, 2))

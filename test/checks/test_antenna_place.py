@@ -39,6 +39,7 @@ def track(error=(0.0, 0.0), late=0.0, turns=0.8, speed=4.0, noise=0.03, drift=0.
         np.stack([enu.real, enu.imag], axis=1),
         np.stack([local.real, local.imag], axis=1),
         np.interp(at, grid, yaw) + 3.0,
+        noise,
     )
 
 
@@ -46,7 +47,8 @@ def turned(one, angle):
     """The same with odometry's frame turned."""
     cosine, sine = np.cos(angle), np.sin(angle)
     turn = np.array([[cosine, -sine], [sine, cosine]])
-    return TurningTrack(one.stamps, one.enu, one.local @ turn.T, one.headings - 3.0 + angle)
+    headings = one.headings - 3.0 + angle
+    return TurningTrack(one.stamps, one.enu, one.local @ turn.T, headings, one.sigma)
 
 
 @pytest.mark.parametrize('error', [(4.0, 0.0), (0.0, 2.0), (-2.0, -1.5), (1.2, 0.9)])
@@ -98,7 +100,14 @@ def test_a_few_wrong_fixes_do_not_matter():
     assert antenna_finding('gnss', one, ARM) is None
 
 
+def test_what_fixes_cannot_tell_anyway_is_no_matter():
+    one = turned(track((0.0, 1.5)), 0.4)
+    rough = TurningTrack(one.stamps, one.enu, one.local, one.headings, 2.0)
+    assert antenna_finding('gnss', one, ARM) is not None
+    assert antenna_finding('gnss', rough, ARM) is None
+
+
 def test_few_fixes_tell_nothing():
     one = track((4.0, 2.0))
-    few = TurningTrack(one.stamps[:9], one.enu[:9], one.local[:9], one.headings[:9])
+    few = TurningTrack(one.stamps[:9], one.enu[:9], one.local[:9], one.headings[:9], one.sigma)
     assert antenna_finding('gnss', few, ARM) is None
