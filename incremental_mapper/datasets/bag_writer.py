@@ -11,7 +11,14 @@ from rosbags.typesys import Stores, get_typestore
 
 from incremental_mapper.config import Tree
 from incremental_mapper.datasets.kaist import extrinsic_settings
-from incremental_mapper.datasets.kaist_files import LIDARS, Recording, Table, fix_parts, imu_parts
+from incremental_mapper.datasets.kaist_files import (
+    LIDARS,
+    Recording,
+    Table,
+    fix_parts,
+    imu_parts,
+    point_times,
+)
 from incremental_mapper.datasets.topics import CLOUD, FIX, IMU, ODOMETRY, TRUTH_TOPIC
 from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.settings import merge
@@ -32,7 +39,9 @@ FRAMES = {
     'truth': 'world',
 }
 
-_POINT_STEP = 16
+POINT_FIELDS = ('x', 'y', 'z', 'intensity', 'time')
+"""Those of a cloud, the last where it is known: seconds after the stamp."""
+_NUMBER = 4
 _DIAGONAL_KNOWN = 2
 _SERVICE_GPS = 1
 
@@ -76,9 +85,11 @@ class MessageBuilder:
         )
 
     def _cloud(self, header: object, points: NDArray[np.floating]) -> object:
+        if point_times(points) is None:
+            points = points[:, :4]
         fields = [
             self._make('sensor_msgs/msg/PointField', name=name, offset=4 * i, datatype=7, count=1)
-            for i, name in enumerate(('x', 'y', 'z', 'intensity'))
+            for i, name in enumerate(POINT_FIELDS[: points.shape[1]])
         ]
         return self._make(
             CLOUD,
@@ -87,9 +98,9 @@ class MessageBuilder:
             width=len(points),
             fields=fields,
             is_bigendian=False,
-            point_step=_POINT_STEP,
-            row_step=_POINT_STEP * len(points),
-            data=points.reshape(-1).view(np.uint8),
+            point_step=_NUMBER * points.shape[1],
+            row_step=_NUMBER * points.size,
+            data=points.astype('<f4').reshape(-1).view(np.uint8),
             is_dense=False,
         )
 

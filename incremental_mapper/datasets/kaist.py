@@ -18,6 +18,7 @@ from incremental_mapper.datasets.kaist_files import (
     fix_parts,
     imu_parts,
     is_kaist_folder,
+    point_times,
     read_recording,
     read_scan_folder,
 )
@@ -240,7 +241,9 @@ def _choose(recording: Recording, listed: list[str] | None) -> list[str]:
 
 def _measurement(stamp: int, sensor: str, record: NDArray[np.floating]) -> Measurement:
     if sensor in LIDARS:
-        return make_scan(stamp, sensor, record[:, :3], intensities=record[:, 3])
+        return make_scan(
+            stamp, sensor, record[:, :3], point_times(record), intensities=record[:, 3]
+        )
     if sensor == 'imu':
         return make_imu(stamp, sensor, *imu_parts(record))
     return make_fix(stamp, sensor, *fix_parts(record))

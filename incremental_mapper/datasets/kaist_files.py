@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from incremental_mapper.datasets.firing_order import TimedScans
 from incremental_mapper.errors import InputError, MeasurementError
 from incremental_mapper.geometry import nearest_rotation
 from incremental_mapper.measurements import Drops, FixStatus, Vector
@@ -136,6 +137,15 @@ def fix_parts(row: NDArray[np.floating]) -> tuple[float, float, float, FixStatus
     return latitude, longitude, altitude, _FIX_STATES.get(state, FixStatus.NO_FIX), covariance
 
 
+def point_times(cloud: NDArray[np.floating]) -> NDArray[np.floating] | None:
+    """Seconds (N,) after the stamp of a cloud's points; None where nothing tells them.
+
+    Of single points they may be NaN. A bare folder's clouds (N, 4) have none.
+    """
+    times = cloud[:, 4:].ravel()
+    return times if np.isfinite(times).any() else None
+
+
 def is_kaist_folder(path: Path) -> bool:
     """Whether a folder has the layout of a KAIST sequence."""
     return (path / 'sensor_data').is_dir()
@@ -167,7 +177,7 @@ def read_recording(path: Path) -> Recording:
         if scans is None:
             notes.append(f'LiDAR {name}: {sensors / folder} has no scans')
         else:
-            streams[name] = scans
+            streams[name] = TimedScans(scans.stamps, scans.load)
     if not streams:
         raise InputError(
             f'{sensors}: holds no LiDAR scans; expected <stamp>.bin in VLP_left/ or VLP_right/'

@@ -13,6 +13,7 @@ from incremental_mapper.cli.convert import add_parser, convert
 from incremental_mapper.datasets.bags import BagSource
 from incremental_mapper.datasets.kaist import KaistSource
 from incremental_mapper.errors import InputError, OutputError
+from incremental_mapper.measurements import LidarScan
 from incremental_mapper.settings import make_config
 
 
@@ -51,6 +52,20 @@ def test_folder_and_bag_are_the_same_source(tmp_path, right):
     np.testing.assert_array_equal(ours.gnss.matrix(), theirs.gnss.matrix())
     np.testing.assert_array_equal(kaist.truth().stamps, bag.truth().stamps)
     np.testing.assert_array_equal(kaist.truth().matrices(), bag.truth().matrices())
+
+
+def test_times_by_the_order_of_firing_are_those_of_the_folder(folder, tmp_path):
+    azimuths = -np.linspace(0.0, 2.0 * np.pi, 500)
+    sweep = np.column_stack([np.cos(azimuths), np.sin(azimuths), 0.0 * azimuths, 0.0 * azimuths])
+    for path in (folder / 'sensor_data').glob('VLP_*/*.bin'):
+        (9.0 * sweep).astype('<f4').tofile(path)
+    convert(folder, tmp_path / 'bag')
+    sources = KaistSource(folder), BagSource(tmp_path / 'bag')
+    scans = [[m for m in it.measurements() if isinstance(m, LidarScan)] for it in sources]
+    assert len(scans[0]) == len(scans[1]) == 8
+    for one, other in zip(*scans, strict=True):
+        np.testing.assert_allclose(one.point_times, np.linspace(-0.1, 0.0, 500), atol=1e-7)
+        assert_same(one, other)
 
 
 def test_what_the_bag_holds(folder, tmp_path):
