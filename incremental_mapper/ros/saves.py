@@ -25,9 +25,9 @@ from incremental_mapper.ros.updates import Reply, Trouble, Update
 PICTURES = 10.0
 """Seconds for which the end of the node waits for pictures; they are made without it, too, unless
 whatever the node runs in ends with it."""
-COMPARED = 40
-"""Pairs of places that a save of a map that goes on compares at the most, some ten seconds: what
-is left, the search beside the windows looks at, and the save at the end."""
+COMPARED = 10
+"""Pairs of places that a save of a map that goes on compares at the most, some seconds of a
+processor: what is left, the search beside the windows looks at, and the save at the end."""
 BUSY = 'two maps are being saved already; call again when they are'
 
 
