@@ -3,6 +3,7 @@
 The player needs this and no more: it starts without the libraries of the mapper.
 """
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -73,9 +74,9 @@ def bag_files(path: Path) -> list[Path]:
     storage = sorted(file for file in path.iterdir() if file.suffix in STORAGE_SUFFIXES)
     metadata = path / 'metadata.yaml'
     if metadata.is_file():
-        # The one file there tells all by itself where it was renamed since.
-        named = len(storage) != 1 or storage[0].name in metadata.read_text(errors='replace')
-        return [path] if named else storage
+        # The one file there tells all by itself where it was renamed, or unpacked, since.
+        text = metadata.read_text(errors='replace')
+        return [path] if len(storage) != 1 or _names(text, storage[0].name) else storage
     if len(storage) == 1:
         return storage
     if storage:
@@ -90,6 +91,11 @@ def bag_files(path: Path) -> list[Path]:
                 raise InputError(remedy)
         raise InputError(f'{path}: is no bag; expected metadata.yaml, a .mcap, .db3 or .bag file')
     return list(ros1)
+
+
+def _names(text: str, name: str) -> bool:
+    """Whether a text has the name of a file, and not as a part of another one."""
+    return re.search(rf'(?<![\w.-]){re.escape(name)}(?![\w.-])', text) is not None
 
 
 def unfinished(path: Path) -> str | None:

@@ -60,6 +60,18 @@ def test_a_bag_whose_one_file_was_renamed_is_read(tmp_path, plugin):
     assert count(source) == EXPECTED and source.drops == {}
 
 
+def test_a_bag_that_was_unpacked_by_hand_is_read(tmp_path):
+    """Its metadata name the packed file still."""
+    bag = write_bag(tmp_path / 'bag', plugin=StoragePlugin.SQLITE3)
+    (file,) = bag.glob('*.db3')
+    path = bag / 'metadata.yaml'
+    text = path.read_text().replace(file.name, f'{file.name}.zstd')
+    text = text.replace("compression_format: ''", 'compression_format: zstd')
+    path.write_text(text.replace("compression_mode: ''", 'compression_mode: FILE'))
+    source = open_source(bag, {})
+    assert count(source) == EXPECTED and source.drops == {}
+
+
 def test_sound_bags_have_nothing_to_mend(tmp_path):
     for plugin in (StoragePlugin.MCAP, StoragePlugin.SQLITE3):
         source = open_source(write_bag(tmp_path / plugin.name, plugin=plugin), {})
