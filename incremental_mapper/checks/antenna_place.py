@@ -48,7 +48,7 @@ class TurningTrack:
 
 
 def antenna_finding(
-    sensor: str, track: TurningTrack, lever_arm: NDArray[np.float64]
+    sensor: str, track: TurningTrack, lever_arm: NDArray[np.float64], early: bool
 ) -> Finding | None:
     """Look for the place of the antenna that makes fixes and odometry agree.
 
@@ -56,9 +56,11 @@ def antenna_finding(
         sensor: Name of the receiver.
         track: Of some hundred metres, over which odometry hardly drifts.
         lever_arm: The antenna in base_link (3,) as the settings have it, metres.
+        early: Whether little is lost where the map begins anew.
 
     Returns:
-        ``antenna_place``, with the place as a proposal; None where it is right or does not show.
+        ``antenna_place``, with the place that is measured, in force where it is ``early`` and else
+        a proposal; None where it is right or does not show.
     """
     measured = arm_error(track)
     if measured is None:
@@ -84,9 +86,10 @@ def antenna_finding(
         f'in turns {len(track.stamps)} fixes swing about the car as those of an antenna that is '
         f'{" and ".join(words)} of where gnss.T_base_sensor has it (to '
         f'{float(deviation[error != 0.0].max()):.2f} m)',
-        f'measure where it is on the car; by this {line} (its height does not show), or all LiDARs '
-        'are wrong by as much',
+        f'{"in force is" if early else "by this it is"} {line} (its height does not show); measure '
+        'where it is on the car, or find all LiDARs wrong by as much',
         {'gnss': {'T_base_sensor': place}},
+        in_force=early,
     )
 
 

@@ -13,7 +13,8 @@ from incremental_mapper.frontend.fix_tracks import Entry
 APART = 1.0
 """Metres of way from one fix that is kept to the next."""
 MOST = 80
-"""Fixes that are kept: those of a minute at 1 Hz, in which odometry turns little away."""
+"""Fixes that are kept: a minute at 1 Hz, in which odometry turns little away. What is found
+among the first of them counts at once: later, a live map would be given up for it."""
 EACH = 40
 """Fixes from one look to the next."""
 
@@ -29,7 +30,7 @@ class AntennaWatch:
         """
         self._arm = lever_arm
         self._entries: deque[Entry] = deque(maxlen=MOST)
-        self._new = 0
+        self._new = self._taken = 0
 
     def take(self, entry: Entry) -> None:
         """Keep a fix, if it is far enough from the last one."""
@@ -37,6 +38,7 @@ class AntennaWatch:
             return
         self._entries.append(entry)
         self._new += 1
+        self._taken += 1
 
     def finding(self, sensor: str, last: bool) -> Finding | None:
         """Whether the antenna is elsewhere, asked when there is enough more of it."""
@@ -52,4 +54,4 @@ class AntennaWatch:
             headings=np.array([item.place.heading for item in kept]),
             sigma=float(np.median([item.sigma for item in kept])),
         )
-        return antenna_finding(sensor, track, self._arm)
+        return antenna_finding(sensor, track, self._arm, early=self._taken <= MOST)

@@ -54,7 +54,7 @@ def turned(one, angle):
 @pytest.mark.parametrize('error', [(4.0, 0.0), (0.0, 2.0), (-2.0, -1.5), (1.2, 0.9)])
 @pytest.mark.parametrize('rate', [1.0, 5.0])
 def test_the_place_of_the_antenna_is_found(error, rate):
-    found = antenna_finding('gnss', turned(track(error, rate=rate), 0.4), ARM)
+    found = antenna_finding('gnss', turned(track(error, rate=rate), 0.4), ARM, early=False)
     assert found is not None and found.rule == 'antenna_place'
     assert found.severity is Severity.WARNING and not found.changes
     place = found.settings['gnss']['T_base_sensor']
@@ -69,45 +69,55 @@ def test_the_place_of_the_antenna_is_found(error, rate):
 def test_an_antenna_in_its_place_is_left_alone(drift, late, noise):
     for rate in (1.0, 5.0):
         one = track(drift=drift, late=late, noise=noise, rate=rate)
-        assert antenna_finding('gnss', turned(one, 0.4), ARM) is None
+        assert antenna_finding('gnss', turned(one, 0.4), ARM, early=False) is None
 
 
 def test_along_the_car_it_cannot_be_told_from_a_lag_at_one_speed():
     one = turned(track((4.0, 0.0), speed=0.0), 0.4)
-    assert antenna_finding('gnss', one, ARM) is None
+    assert antenna_finding('gnss', one, ARM, early=False) is None
 
 
 def test_across_the_car_it_can():
-    found = antenna_finding('gnss', turned(track((4.0, 2.0), speed=0.0), 0.4), ARM)
+    found = antenna_finding('gnss', turned(track((4.0, 2.0), speed=0.0), 0.4), ARM, early=False)
     assert found is not None
     assert found.settings['gnss']['T_base_sensor'][:2] == pytest.approx([ARM[0], 2.0], abs=0.3)
     assert '2.0 m left' in found.text and 'ahead' not in found.text
 
 
 def test_on_a_straight_road_nothing_is_said():
-    assert antenna_finding('gnss', turned(track((4.0, 2.0), turns=0.0), 0.4), ARM) is None
-    assert antenna_finding('gnss', turned(track((4.0, 2.0), turns=0.02), 0.4), ARM) is None
+    assert (
+        antenna_finding('gnss', turned(track((4.0, 2.0), turns=0.0), 0.4), ARM, early=False) is None
+    )
+    assert (
+        antenna_finding('gnss', turned(track((4.0, 2.0), turns=0.02), 0.4), ARM, early=False)
+        is None
+    )
 
 
 def test_a_few_wrong_fixes_do_not_matter():
     one = turned(track((0.0, 2.0)), 0.4)
     one.enu[[7, 20, 33]] += [9.0, -5.0]
-    found = antenna_finding('gnss', one, ARM)
+    found = antenna_finding('gnss', one, ARM, early=False)
     assert found is not None
     assert found.settings['gnss']['T_base_sensor'][:2] == pytest.approx([ARM[0], 2.0], abs=0.3)
     one = turned(track(), 0.4)
     one.enu[[7, 20, 33]] += [9.0, -5.0]
-    assert antenna_finding('gnss', one, ARM) is None
+    assert antenna_finding('gnss', one, ARM, early=False) is None
+
+
+def test_what_is_found_early_is_in_force():
+    found = antenna_finding('gnss', turned(track((0.0, 2.0)), 0.4), ARM, early=True)
+    assert found is not None and found.changes and 'in force' in found.remedy
 
 
 def test_what_fixes_cannot_tell_anyway_is_no_matter():
     one = turned(track((0.0, 1.5)), 0.4)
     rough = TurningTrack(one.stamps, one.enu, one.local, one.headings, 2.0)
-    assert antenna_finding('gnss', one, ARM) is not None
-    assert antenna_finding('gnss', rough, ARM) is None
+    assert antenna_finding('gnss', one, ARM, early=False) is not None
+    assert antenna_finding('gnss', rough, ARM, early=False) is None
 
 
 def test_few_fixes_tell_nothing():
     one = track((4.0, 2.0))
     few = TurningTrack(one.stamps[:9], one.enu[:9], one.local[:9], one.headings[:9], one.sigma)
-    assert antenna_finding('gnss', few, ARM) is None
+    assert antenna_finding('gnss', few, ARM, early=False) is None

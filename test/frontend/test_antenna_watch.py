@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from incremental_mapper.frontend.antenna_watch import EACH, AntennaWatch
+from incremental_mapper.frontend.antenna_watch import EACH, MOST, AntennaWatch
 from incremental_mapper.frontend.fix_tracks import Entry
 from incremental_mapper.frontend.odometry_track import Place
 from incremental_mapper.measurements import NANOSECONDS, FixStatus, GnssFix
@@ -45,9 +45,14 @@ def looked(entries):
 def test_it_looks_every_so_many_fixes_and_at_the_end():
     found, watch = looked(drive((0.0, 2.0), EACH + 5))
     assert [number for number, one in enumerate(found) if one is not None] == [EACH - 1]
-    assert '2.0 m left' in found[EACH - 1].text
+    assert '2.0 m left' in found[EACH - 1].text and found[EACH - 1].changes
     assert watch.finding('gnss', last=True) is not None
     assert watch.finding('gnss', last=True) is None  # there is no more than before
+
+
+def test_what_turns_up_late_does_not_end_the_map():
+    found, _ = looked(drive((0.0, 2.0), MOST + EACH))
+    assert [one.changes for one in found if one is not None] == [True, True, False]
 
 
 def test_an_antenna_in_its_place_is_left_alone():
