@@ -96,6 +96,14 @@ class Partitions:
             and weak_directions(item.covariance)
         }
 
+    @property
+    def touched(self) -> bool:
+        """Whether any scan is matched to one of G(t-1)."""
+        return any(
+            isinstance(item, PreparedScan) and (core.sensor, item.previous) in self._homes
+            for core, item in self._prepared.items()
+        )
+
     def number(self, cluster: Cluster) -> int:
         """Number of a cluster while candidates compete; unique within the window."""
         return LOCAL + cluster.first * self._elements + cluster.last

@@ -39,8 +39,8 @@ class _Cheapest:
         clock = Stopwatch()
         looked, cut = all_candidates(problem), False
         if looked is None:
-            looked = self._ascending(problem)
-            cut = not looked or bool(problem.unconnected(looked[-1]))
+            looked = [] if problem.apart else self._ascending(problem)
+            cut = not problem.apart and (not looked or bool(problem.unconnected(looked[-1])))
         pool = connected_candidates(problem, looked)
         clock.lap('candidates')
         scores = self._scores(pool.eligible)

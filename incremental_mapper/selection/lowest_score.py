@@ -188,6 +188,8 @@ class _Selection:
         # The conventional graph takes part as well, first as in an enumeration: what is found is
         # never worse than it, and the map is judged at the same points.
         base = base_candidate(*window)
+        if problem.apart:
+            return [base], False  # until more comes, or a bridge is made
         searched = beam_search(problem, self._make_criterion, width, self._seconds())
         found = [base, *(item for item in searched if item != base)]
         if all(problem.unconnected(item) for item in found):

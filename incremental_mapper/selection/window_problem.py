@@ -70,6 +70,19 @@ class WindowProblem:
         frontier = self.inputs.frontier
         return None if frontier.head is None else frontier.head_stamp
 
+    @cached_property
+    def apart(self) -> bool:
+        """Whether nothing ties any measurement to G(t-1), so that no candidate is connected.
+
+        As where the matching of every LiDAR begins anew behind a hole in the IMU samples.
+        """
+        frontier, head = self.inputs.frontier, self.head
+        if frontier.newest is None or self.partitions.touched:
+            return False
+        # A cluster's stamp is that of one of its elements.
+        stamps = [element[0].stamp for element in self.elements]
+        return head is None or all(self.imu.first_sample(head, end) is None for end in stamps)
+
     def unconnected(self, candidate: Candidate) -> list[list[Cluster]]:
         """Decide connectivity by union-find, before anything is solved (paper, step 5).
 

@@ -106,6 +106,31 @@ def test_window_that_nothing_connects_has_no_winner():
         assert [item.connected for item in choice.tried] == [False]
 
 
+@pytest.mark.parametrize(
+    'strategy', [LowestScore.of('any', lambda proposal: 0.0), LeastTimeShift()]
+)
+def test_nothing_is_searched_where_nothing_reaches_the_graph(strategy):
+    # Fixes alone, and no sample between the graph and the first of them.
+    stamps = {(40 + 9 * number) * MS: {'gps'} for number in range(12)}
+    config = car_settings(selection={'max_candidates': 8}, preintegration={'max_gap': 0.03})
+    far = problem_of(stamps, config=config, series=imu_series(35 * MS, 200 * MS, MS))
+    assert far.apart
+    choice = strategy.select(far)
+    assert choice.winner is None and choice.enumerated <= 1 and not choice.cut
+    near = problem_of(stamps, config=config, series=imu_series(-50 * MS, 200 * MS, MS))
+    assert not near.apart and strategy.select(near).winner is not None
+
+
+@pytest.mark.parametrize('first', [-50, 20, 35, 80])
+@pytest.mark.parametrize('sensors', [('gps', 'gps'), ('left', 'gps'), ('gps', 'left', 'right')])
+def test_where_all_are_apart_no_candidate_is_connected(first, sensors):
+    stamps = {(40 + 9 * number) * MS: {name} for number, name in enumerate(sensors)}
+    config = car_settings(preintegration={'max_gap': 0.03})
+    problem = problem_of(stamps, config=config, series=imu_series(first * MS, 200 * MS, MS))
+    connected = [not problem.unconnected(item) for item in all_candidates(problem)]
+    assert problem.apart == (not any(connected))
+
+
 def test_candidate_that_cannot_be_solved_is_left_out():
     problem = problem_of(WINDOW, known_state())
     (seen,) = [item for item in problem.inputs.prepared.values() if item.core.kind == 'gnss']
