@@ -1,7 +1,7 @@
 """The static transforms of a bag: how its frames hang together."""
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
@@ -153,10 +153,17 @@ def add_transform(tree: FrameTree, topic: str, edge: Edge, numbers: NDArray[np.f
     try:
         tree.edges[edge] = pose_matrix(numbers.tolist())
     except ValueError as error:
-        tree.findings.append(bad_transform(topic, edge[1], edge[0], str(error)))
+        _tell(tree, [bad_transform(topic, edge[1], edge[0], str(error))])
         return
     if known is not None:
-        tree.findings += told_twice(topic, edge[1], edge[0], known, tree.edges[edge])
+        _tell(tree, told_twice(topic, edge[1], edge[0], known, tree.edges[edge]))
+
+
+def _tell(tree: FrameTree, found: Sequence[Finding]) -> None:
+    """Add findings to a tree in place of their like: a publisher may say the same for hours."""
+    new = {(one.rule, one.sensor) for one in found}
+    kept = [one for one in tree.findings if (one.rule, one.sensor) not in new]
+    tree.findings[:] = [*kept, *found]
 
 
 def _transforms(

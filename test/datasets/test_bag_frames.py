@@ -7,6 +7,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from scipy.spatial.transform import Rotation
 
 from incremental_mapper.datasets.open import open_source
+from incremental_mapper.datasets.static_transforms import FrameTree, add_transform
 from incremental_mapper.errors import InputError
 from incremental_mapper.geometry import pose_matrix
 from incremental_mapper.measurements import LidarScan
@@ -128,6 +129,16 @@ def test_static_transforms_that_contradict_each_other_are_told(tmp_path):
         assert len(said(source, 'transform_changes')) == count
         place = make_config(source.info.settings).lidars['points'].T_base_sensor[:3]
         assert place == pytest.approx(last[2])
+
+
+def test_a_publisher_that_contradicts_itself_for_hours_is_told_once():
+    tree = FrameTree()
+    for number in range(100):
+        place = np.array([number % 2, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+        add_transform(tree, '/tf_static', ('base_link', 'lidar'), place)
+        add_transform(tree, '/tf_static', ('base_link', 'imu'), np.zeros(7))
+    rules = [(one.rule, one.sensor) for one in tree.findings]
+    assert sorted(rules) == [('bad_transform', 'imu'), ('transform_changes', 'lidar')]
 
 
 def test_what_the_settings_say_comes_first(tmp_path):
