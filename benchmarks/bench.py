@@ -20,6 +20,7 @@ from statistics import median
 from typing import Any
 
 import numpy as np
+from graph_memory import resident
 from long_drive import RepeatedDrive
 
 import incremental_mapper.mapping.mapper as mapper_module
@@ -225,15 +226,22 @@ def hour(folder: Path, tree: Tree, minutes: float) -> dict[str, Any]:
     long = RepeatedDrive(source, rounds)
     mapper = Mapper(config, list(source.info.counts))
     began = time.perf_counter()
+    held: list[tuple[float, float]] = []
+    first = 0
     for measurement in long.measurements():
+        first = first or measurement.stamp
         mapper.push(measurement)
+        if (minute := (measurement.stamp - first) / 6e10) >= len(held):
+            held.append((minute, resident() / 1e6))
     mapped = peak_rss_mb()
+    later = np.array(held[len(held) // 2 :])
     result = mapper.finish()
     rows = [row['window_s'] for row in result.rows if row['core']]
     tenth = max(len(rows) // 10, 1)
     return {
         'minutes': rounds * source.info.duration / 60.0,
         'peak_rss_mb_while_mapping': mapped,
+        'mb_a_minute': float(np.polyfit(*later.T, 1)[0]) if len(later) > 1 else float('nan'),
         'peak_rss_mb_with_final_solve': peak_rss_mb(),
         'growth': float(np.mean(rows[-tenth:]) / np.mean(rows[:tenth])),
         'real_time_factor': rounds * source.info.duration / (time.perf_counter() - began),
@@ -315,7 +323,8 @@ def report(parts: dict[str, Any]) -> str:
     if done := parts.get('hour'):
         line(
             f'peak memory of {done["minutes"]:.0f} minutes',
-            f'{done["peak_rss_mb_while_mapping"]:.0f} MB while mapping, '
+            f'{done["peak_rss_mb_while_mapping"]:.0f} MB while mapping, growing by '
+            f'{done["mb_a_minute"]:.1f} MB a minute in the second half, '
             f'{done["peak_rss_mb_with_final_solve"]:.0f} MB with the final solve; growth '
             f'{done["growth"]:.2f}, real-time factor {done["real_time_factor"]:.2f}',
         )

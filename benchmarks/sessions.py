@@ -5,21 +5,30 @@
 
 ``cut`` maps a KAIST folder in one go, and cut in two, the second part with ``--continue``, and
 compares the errors. ``joint`` has the errors of a map that ``merge`` made of runs of the drives, in
-that order, after one rigid fit of all of it, beside those of the single runs after one of each.
+that order, after one rigid fit of all of it, beside those of the single runs after one of each;
+and how far its closures between runs are off, with their squared error in standard deviations for
+each dimension (1 where the covariance is right).
 """
 
 import argparse
 import shutil
+from bisect import bisect
+from itertools import accumulate
 from pathlib import Path
 
+import gtsam
 import numpy as np
 
 from incremental_mapper.datasets.truth import read_truth
+from incremental_mapper.graph.factors import FactorKind
+from incremental_mapper.map.store import MemoryStore
 from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.results.offline_run import map_drive
 from incremental_mapper.results.run_folder import FinishedRun
+from incremental_mapper.results.sessions.saved_run import read_saved_run
 from incremental_mapper.settings import merge, read_yaml
 from incremental_mapper.trajectory import Trajectory, fit_rigid, match_truth
+from incremental_mapper.variables import cluster_of
 
 
 def cut(folder: Path, out: Path, low: float, high: float) -> Path:
@@ -94,6 +103,36 @@ def compare_joint(joint: Path, drives: list[Path], singles: list[Path]) -> None:
     print(f'all: {error(*(np.vstack(side) for side in zip(*pairs, strict=True))):.4f} m')
 
 
+def compare_closures(joint: Path, drives: list[Path]) -> None:
+    """Print how far the closures between the runs of a joint map are off the truth."""
+    result = read_saved_run(joint, MemoryStore()).result
+    ends = list(accumulate(session.clusters for session in result.sessions))
+    truths = [read_truth(drive / 'global_pose.csv') for drive in drives]
+    apart, squares = [], []
+    for factor in result.factors:
+        ids = [cluster_of(key) for key in factor.keys]
+        runs = [bisect(ends, number) for number in ids]
+        if factor.kind is not FactorKind.CLOSURE or runs[0] == runs[1]:
+            continue
+        stamps = [result.clusters[number].cluster.stamp for number in ids]
+        first, second = (
+            gtsam.Pose3(truths[run].interpolate(np.array([stamp])).matrices()[0])
+            for run, stamp in zip(runs, stamps, strict=True)
+        )
+        off = gtsam.Pose3.Logmap(first.between(second).between(factor.factor.measured()))
+        noise = factor.factor.noiseModel()
+        gaussian = noise.noise() if isinstance(noise, gtsam.noiseModel.Robust) else noise
+        apart.append(off)
+        squares.append(float(np.square(gaussian.whiten(off)).sum()) / 6.0)
+    if apart:
+        turned, moved = np.degrees(np.array(apart)[:, :3]), np.array(apart)[:, 3:]
+        print(
+            f'{len(apart)} closures between runs: off by {np.sqrt(np.mean(moved**2, axis=0))} m, '
+            f'{np.sqrt(np.mean(turned**2, axis=0))} degrees RMS, {moved.mean(axis=0)} m in the '
+            f'mean; normalised squared error {np.mean(squares):.2f}'
+        )
+
+
 def main() -> None:
     """Run what the words say."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -112,6 +151,7 @@ def main() -> None:
         compare_cut(args.drive, args.folder, args.at, args.config)
     else:
         compare_joint(args.merged, args.drives, args.singles)
+        compare_closures(args.merged, args.drives)
 
 
 if __name__ == '__main__':
