@@ -24,6 +24,11 @@ MISFIT, NOISE = 0.05, 5.0
 """Share of a track's extent, beside so many deviations of the fixes, by which the two differ at
 least (root mean square) where something is wrong. Simulated drives with bends and KITTI: 0.002 to
 0.01 of the extent."""
+_CAUSES = {
+    'optimistic_covariance': {'exchanged_degrees', 'lost_sign', 'gnss_clock', 'point_unit'},
+    'imu_noise': {'imu_in_deg', 'imu_rate_unit', 'imu_rate_scale'},
+}
+"""Rules, and those whose finding explains what they found before."""
 BETTER = 0.2
 """Share of that misfit that is left, at most, where the cause is found."""
 
@@ -90,15 +95,17 @@ def shape_finding(sensor: str, shape: Shape) -> Finding | None:
 
 
 def without_consequences(before: Sequence[Finding], now: Sequence[Finding]) -> list[Finding]:
-    """Take back what was found of fixes only because their track was misshapen.
+    """Take back what was found only because of something that was not known yet.
+
+    Fixes scatter where their track is misshapen, and a gyroscope is loud in the wrong unit.
 
     Args:
         before: What was found in earlier runs.
         now: What was found since.
     """
-    causes = ('exchanged_degrees', 'lost_sign', 'gnss_clock', 'point_unit')
-    misshapen = any(finding.rule in causes for finding in now)
-    return [one for one in before if not (misshapen and one.rule == 'optimistic_covariance')]
+    rules = {finding.rule for finding in now}
+    follows = {rule for rule, causes in _CAUSES.items() if rules & causes}
+    return [one for one in before if one.rule not in follows]
 
 
 def metres(degrees: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -66,3 +66,9 @@ def test_what_followed_from_a_misshapen_track_is_taken_back():
     )
     assert without_consequences([scatter, other], [shape]) == [other]
     assert without_consequences([scatter], [other]) == [scatter]
+
+
+def test_a_gyroscope_that_is_loud_in_the_wrong_unit_is_not_loud():
+    loud, unit = (Finding(rule, Severity.MENDED, 'imu', '') for rule in ('imu_noise', 'imu_in_deg'))
+    assert without_consequences([loud], [unit]) == []
+    assert without_consequences([loud], [loud]) == [loud]
