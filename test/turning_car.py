@@ -63,6 +63,12 @@ def settings(**sections):
     return make_config(tree)
 
 
+def own_biases(**sections):
+    """As ``settings``, with a bias at each end of a span."""
+    graph = sections.pop('graph', {})
+    return settings(graph={**graph, 'bias_period': 0.0}, **sections)
+
+
 def imu_series(first, last, step=2 * MS):
     """What a perfect IMU in base_link measures from ``first`` to ``last``."""
     stamps = np.arange(first, last, step, dtype=np.int64)
@@ -152,6 +158,7 @@ def known_state(head_inertial=True, sigma=1e-3):
         inertial_stamp=0,
         newest=0,
         newest_stamp=0,
+        bias=0 if head_inertial else None,
     )
     state.advance(frontier, velocity(0), -(10**12))
     state.define_enu(ENU_OFFSET)

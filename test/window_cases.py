@@ -3,15 +3,15 @@
 import numpy as np
 from hypothesis import strategies as st
 
-from incremental_mapper.candidates.model import CoreKind, CoreMeasurement
+from incremental_mapper.candidates.model import CoreKind, CoreMeasurement, SpanBias
 from incremental_mapper.candidates.partitions import group_elements
 from incremental_mapper.candidates.spans import ImuStamps
 
 SENSORS = {'left': CoreKind.LIDAR, 'right': CoreKind.LIDAR, 'gps': CoreKind.GNSS}
 
 
-def imu_at(stamps, max_gap=10**12):
-    return ImuStamps(np.array(sorted(stamps), dtype=np.int64), max_gap)
+def imu_at(stamps, max_gap=10**12, bias=SpanBias.EACH_END):
+    return ImuStamps(np.array(sorted(stamps), dtype=np.int64), max_gap, bias)
 
 
 @st.composite
@@ -25,4 +25,5 @@ def windows(draw):
     core = [CoreMeasurement(stamp, sensor, SENSORS[sensor]) for stamp, sensor in sorted(keys)]
     head = draw(st.none() | st.integers(-20, -1))
     imu = draw(st.sets(st.integers(-25, 65), max_size=40))
-    return group_elements(core), head, imu_at(imu, draw(st.sampled_from([8, 10**12])))
+    bias = draw(st.sampled_from(SpanBias))
+    return group_elements(core), head, imu_at(imu, draw(st.sampled_from([8, 10**12])), bias)

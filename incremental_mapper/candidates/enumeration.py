@@ -39,7 +39,7 @@ def connect(
         first = imu.first_sample(start_stamp, end_stamp)
         if first is not None:
             connections.append(Connection(start, end, start_stamp, end_stamp, first))
-    return Candidate(clusters=clusters, connections=tuple(connections))
+    return Candidate(clusters, tuple(connections), imu.bias)
 
 
 def chains(count: int, has_head: bool) -> Iterator[tuple[int, ...]]:

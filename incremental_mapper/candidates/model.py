@@ -1,7 +1,7 @@
 """Core measurements, clusters, connections and candidates: the values that a window is made of."""
 
 from dataclasses import dataclass
-from enum import StrEnum
+from enum import Enum, StrEnum, auto
 
 
 class CoreKind(StrEnum):
@@ -43,6 +43,17 @@ class Cluster:
         return self.members[-1].stamp - self.members[0].stamp
 
 
+class SpanBias(Enum):
+    """Which bias the IMU spans of a window have."""
+
+    EACH_END = auto()
+    """Each end of a span has its own (paper)."""
+    NEW = auto()
+    """All spans of a candidate have the same one, which is one of its variables."""
+    KEPT = auto()
+    """All spans have one of G(t-1)."""
+
+
 HEAD = -1
 """Index that a connection uses for the cluster of G(t-1) at the head of the composition."""
 
@@ -69,10 +80,14 @@ class Connection:
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """One way of building the window's graph: clusters in time order and their connections."""
+    """One way of building the window's graph: clusters in time order and their connections.
+
+    ``bias`` says what the connections take for the bias of the IMU.
+    """
 
     clusters: tuple[Cluster, ...]
     connections: tuple[Connection, ...]
+    bias: SpanBias = SpanBias.EACH_END
 
     @property
     def time_shift(self) -> int:
@@ -82,7 +97,7 @@ class Candidate:
 
     @property
     def inertial_clusters(self) -> frozenset[int]:
-        """Indices of the clusters that need velocity and bias (HEAD is among them if it does)."""
+        """Indices of the clusters at the ends of spans, HEAD among them: those have a velocity."""
         ends = {connection.end for connection in self.connections}
         return frozenset(ends | {connection.start for connection in self.connections})
 
@@ -109,5 +124,11 @@ class Candidate:
 
     @property
     def vertices(self) -> int:
-        """Variables that the candidate adds: a pose each, velocity and bias where needed."""
-        return len(self.clusters) + 2 * len(self.inertial_clusters - {HEAD})
+        """Variables that the candidate adds: poses, velocities at the ends of spans, and biases."""
+        velocities = len(self.inertial_clusters - {HEAD})
+        biases = {
+            SpanBias.EACH_END: velocities,
+            SpanBias.NEW: int(bool(self.connections)),
+            SpanBias.KEPT: 0,
+        }
+        return len(self.clusters) + velocities + biases[self.bias]

@@ -5,17 +5,20 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from incremental_mapper.candidates.model import SpanBias
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImuStamps:
     """Sorted stamps (K,) int64 of the window's unused IMU samples.
 
     A span with a hole longer than ``max_gap`` nanoseconds makes no connection: the motion inside
-    the hole is unknown.
+    the hole is unknown. ``bias`` says which bias the spans have.
     """
 
     stamps: NDArray[np.int64]
     max_gap: int
+    bias: SpanBias = SpanBias.EACH_END
     # Candidates ask for the same few spans again and again.
     _asked: dict[tuple[int, int], int | None] = field(default_factory=dict, init=False, repr=False)
 

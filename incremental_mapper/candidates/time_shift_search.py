@@ -13,13 +13,13 @@ from itertools import count
 from typing import TypeAlias
 
 from incremental_mapper.candidates.enumeration import connect
-from incremental_mapper.candidates.model import HEAD, Candidate, Cluster
+from incremental_mapper.candidates.model import HEAD, Candidate, Cluster, SpanBias
 from incremental_mapper.candidates.partitions import Element, make_cluster
 from incremental_mapper.candidates.spans import ImuStamps
 
-_Node: TypeAlias = tuple[int | None, bool]
-"""Stamp of the cluster that the chain goes on from, None before there is one, and whether its
-velocity and bias are counted already."""
+_Node: TypeAlias = tuple[int | None, bool, bool]
+"""Stamp of the cluster that the chain goes on from, None before there is one, whether its velocity
+and bias are counted already, and whether a bias that all spans share is."""
 
 _VARIABLE = 10**15
 """What a variable costs where the fewest are looked for: more time shift, in nanoseconds, than a
@@ -123,6 +123,7 @@ def _by_cost(
     length = len(elements)
     if length == 0:
         return
+    each = variable * (2 if imu.bias is SpanBias.EACH_END else 1)
 
     @cache
     def cluster(first: int, last: int) -> Cluster | None:
@@ -145,15 +146,15 @@ def _by_cost(
     def steps(position: int, node: _Node) -> Iterator[tuple[int, Cluster, bool, _Node, int]]:
         # One more cluster: where it ends, itself, whether the chain visits it, the node that
         # follows, and the cost.
-        stamp, counted = node
+        stamp, counted, biased = node
         for last in range(position, length):
             merged = cluster(position, last)
             if merged is None or (last > position and not may_merge):
                 return  # a longer cluster holds the same two scans
             cost = merged.time_range + variable
             linked = sample(stamp, merged.stamp) is not None
-            inertial = variable * (2 + 2 * (not counted)) if linked else 0
-            onward = merged.stamp, linked and variable > 0
+            inertial = each * (1 + (not counted)) + variable * (not biased) if linked else 0
+            onward = merged.stamp, linked and variable > 0, biased or (linked and variable > 0)
             yield last + 1, merged, True, onward, cost + shift(stamp, merged.stamp) + inertial
             if last + 1 < length and not (position == 0 and head is None):
                 yield last + 1, merged, False, node, cost
@@ -172,7 +173,7 @@ def _by_cost(
     paths: dict[tuple[int, int], int] = {}
     links: dict[tuple[int, int | None, int], int] = {}
     seen: set[tuple[int | None, int, int]] = set()
-    start = head, True  # what G(t-1) has costs nothing
+    start = head, True, imu.bias is not SpanBias.NEW  # what G(t-1) has costs nothing
     empty = _Prefix(None, None, 0, None if head is None else HEAD)
     heap: list[_Entry] = [(cheapest(0, start), 0, next(order), 0, start, False, empty)]
     made = 0

@@ -174,10 +174,13 @@ class GraphSettings(Section):
     motion_compensation: bool = True
     """Move each measurement of a merged cluster to the cluster's stamp by the predicted motion;
     false is the paper's choice."""
-    dead_reckoning: bool = False
-    """Hold clusters that an IMU span passes over by dead reckoning from its start as well: in long
-    windows rotations from pose to pose are 1.5 to 4 times as exact, at the cost of a factor for
-    each. false leaves such clusters to their matches (paper)."""
+    dead_reckoning: bool = True
+    """Hold clusters that an IMU span passes over by dead reckoning from its start as well: rotations
+    from pose to pose are 1.5 to 4 times as exact, at the cost of a factor for each. false leaves
+    such clusters to their matches (paper)."""
+    bias_period: float = Field(default=1.0, ge=0.0, le=60.0)
+    """Seconds of IMU spans that share one bias variable; the next one is tied to it by its random
+    walk. 0 gives each end of a span a bias of its own (paper), as the strategy base always does."""
     prior_sigma_position: Sigma = 0.1
     """First pose, metres."""
     prior_sigma_level: Sigma = 0.02

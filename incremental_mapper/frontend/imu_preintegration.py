@@ -98,7 +98,8 @@ def preintegrate(
     end: int,
     parameters: gtsam.PreintegrationCombinedParams,
     bias: gtsam.imuBias.ConstantBias,
-) -> gtsam.PreintegratedCombinedMeasurements:
+    constant_bias: bool = False,
+) -> gtsam.PreintegratedCombinedMeasurements | gtsam.PreintegratedImuMeasurements:
     """Integrate the whole span between two cluster stamps with the samples inside it.
 
     Each sample stands for the time nearest to it, so the pieces before the first and after the
@@ -110,6 +111,7 @@ def preintegrate(
         end: Stamp of the cluster where it ends, ns.
         parameters: Noise and gravity of the pre-integration.
         bias: Bias around which it is linearised.
+        constant_bias: Whether the bias is the same all along, as one is that serves many spans.
 
     Returns:
         The pre-integrated span.
@@ -120,7 +122,7 @@ def preintegrate(
     samples = series.within(start, end)
     if len(samples.stamps) == 0:
         raise ValueError(f'no IMU sample between {start} and {end}')
-    return integrate(samples, start, end, parameters, bias)
+    return integrate(samples, start, end, parameters, bias, constant_bias)
 
 
 def integrate(
@@ -129,12 +131,18 @@ def integrate(
     end: int,
     parameters: gtsam.PreintegrationCombinedParams,
     bias: gtsam.imuBias.ConstantBias,
-) -> gtsam.PreintegratedCombinedMeasurements:
+    constant_bias: bool = False,
+) -> gtsam.PreintegratedCombinedMeasurements | gtsam.PreintegratedImuMeasurements:
     """As ``preintegrate``, with these ``samples``, one or more, wherever they lie."""
     # Stamps are subtracted as integers: doubles hold epoch nanoseconds to 256 ns only.
     moments = [stamp - start for stamp in samples.stamps.tolist()]
     edges = [(first + second) / 2.0 for first, second in pairwise(moments)]
-    preintegrated = gtsam.PreintegratedCombinedMeasurements(parameters, bias)
+    make = (
+        gtsam.PreintegratedImuMeasurements
+        if constant_bias
+        else gtsam.PreintegratedCombinedMeasurements
+    )
+    preintegrated = make(parameters, bias)
     begin = 0.0
     forces = samples.acceleration - _swung(samples, parameters.getBodyPSensor())
     for force, rate, end_ns in zip(forces, samples.gyro, [*edges, float(end - start)], strict=True):

@@ -21,6 +21,7 @@ from incremental_mapper.frontend.gap_matching import LONG
 from incremental_mapper.frontend.imu_preintegration import ImuSeries, preintegrate
 from incremental_mapper.frontend.lidar_odometry import PreparedScan
 from incremental_mapper.frontend.match_noise import carried
+from incremental_mapper.graph.bias_sharing import BiasSharing
 from incremental_mapper.graph.connectivity import Partition, Partitions
 from incremental_mapper.graph.factors import (
     Factor,
@@ -71,6 +72,7 @@ class WindowInputs:
         enu_offset: Where ENU's origin lies in the map, (3,) metres; the axes are the same.
         fix_inflation: Extra standard deviations of fixes, horizontal and vertical, by stamp.
         known: How well the motion of ``head_state`` is known.
+        bias: Which bias the spans have.
         config: All settings.
     """
 
@@ -84,6 +86,7 @@ class WindowInputs:
     enu_offset: NDArray[np.float64]
     fix_inflation: Mapping[int, tuple[float, float]]
     known: MotionSigmas
+    bias: BiasSharing
     config: Config
 
 
@@ -128,10 +131,13 @@ class FactorBuilder:
                 partition.factors[cluster.first] = self._of_cluster(cluster, partition)
             made.extend(partition.factors[cluster.first])
         links = [link for link in candidate.connections if link.end >= since]
+        home = self._in.bias.home(candidate, self._partitions.number)
         for link in links:
-            made.extend(self._imu(candidate, link.start, link.end))
+            made.extend(self._imu(candidate, link.start, link.end, home))
             made.extend(self._passed(candidate, link))
         made.extend(self._chain_starts(candidate, links))
+        if home is not None and home != self._in.bias.kept and candidate.connections[0] in links:
+            made.append(self._new_bias(home, candidate.connections[0].start_stamp))
         if self._in.frontier.newest is None and since == 0:
             first = candidate.clusters[0]
             made.append(self._first_prior(first))
@@ -290,20 +296,24 @@ class FactorBuilder:
         cluster = candidate.clusters[index]
         return self._partitions.number(cluster), cluster.stamp
 
-    def _imu(self, candidate: Candidate, start: int, end: int) -> tuple[Factor, ...]:
+    def _imu(
+        self, candidate: Candidate, start: int, end: int, home: int | None
+    ) -> tuple[Factor, ...]:
         first, first_stamp = self._ends(candidate, start)
         last, last_stamp = self._ends(candidate, end)
-        key = ('imu', first, last)
+        key = ('imu', first, last, home)
         if key not in self._cache:
-            series = self._in.series
-            low, high = np.searchsorted(series.stamps, (first_stamp, last_stamp), side='left')
+            series, between = self._in.series, (first_stamp, last_stamp)
+            low, high = np.searchsorted(series.stamps, between, side='left')
             span = preintegrate(
-                series, first_stamp, last_stamp, self._in.parameters, self._in.head_state.bias
+                series,
+                *between,
+                self._in.parameters,
+                self._in.head_state.bias,
+                constant_bias=home is not None,
             )
             stamps = series.stamps[low:high]
-            self._cache[key] = (
-                imu_factor(first, last, span, 'imu', (first_stamp, last_stamp), stamps),
-            )
+            self._cache[key] = (imu_factor(first, last, span, 'imu', between, stamps, home),)
         return self._cache[key]
 
     def _passed(self, candidate: Candidate, link: Connection) -> Iterator[Factor]:
@@ -329,7 +339,10 @@ class FactorBuilder:
             yield from self._cache[key]
 
     def _chain_starts(self, candidate: Candidate, links: Sequence[Connection]) -> Sequence[Factor]:
-        """What holds velocity and bias where one of ``links`` does not go on from an older one."""
+        """What holds velocity and bias where one of ``links`` does not go on from an older one.
+
+        A bias that all spans share is held elsewhere.
+        """
         ends = {link.end for link in candidate.connections}
         starts = sorted({link.start for link in links} - ends)
         made: list[Factor] = []
@@ -367,7 +380,10 @@ class FactorBuilder:
             sigma = graph.prior_sigma_velocity if earlier is None else graph.weak_sigma_velocity
             state = self._in.states.get(stamp, self._in.head_state)
             made.append(velocity_prior(velocity_key(id_), state.velocity, sigma, stamp))
+        shared = self._in.bias.shared
         if earlier is None:
+            if shared:
+                return tuple(made)
             return (*made, bias_prior(bias_key(id_), self._in.head_state.bias, graph, stamp))
         passed = max(stamp - earlier[1], SHORTEST) / NANOSECONDS
         stamps = (earlier[1], stamp)
@@ -379,10 +395,30 @@ class FactorBuilder:
                 - self._compensation.dead_reckon(begin).velocity
             )
             made.append(constant_velocity_prior(keys, change, UNSEEN_ACCELERATION * passed, stamps))
-        walks = [imu.accelerometer_bias_walk] * 3 + [imu.gyroscope_bias_walk] * 3
-        keys = (bias_key(earlier[0]), bias_key(id_))
-        made.append(bias_random_walk(keys, np.sqrt(passed) * np.array(walks), stamps))
+        if not shared:
+            made.append(self._walk(earlier, own))
         return tuple(made)
+
+    def _new_bias(self, home: int, stamp: int) -> Factor:
+        """Hold a bias that serves the spans from ``stamp`` (ns) on by the one before it."""
+        frontier = self._in.frontier
+        if frontier.bias is None:
+            bias = self._in.head_state.bias
+            return bias_prior(bias_key(home), bias, self._in.config.graph, stamp)
+        key = ('bias', home, stamp)
+        if key not in self._cache:
+            earlier = frontier.bias, frontier.bias_stamp
+            self._cache[key] = (self._walk(earlier, (home, stamp)),)
+        return self._cache[key][0]
+
+    def _walk(self, first: tuple[int, int], second: tuple[int, int]) -> Factor:
+        """The random walk between two biases, each given by its cluster's number and a stamp."""
+        imu = self._in.config.preintegration
+        passed = max(second[1] - first[1], SHORTEST) / NANOSECONDS
+        walks = [imu.accelerometer_bias_walk] * 3 + [imu.gyroscope_bias_walk] * 3
+        keys = (bias_key(first[0]), bias_key(second[0]))
+        sigmas = np.sqrt(passed) * np.array(walks)
+        return bias_random_walk(keys, sigmas, (first[1], second[1]))
 
     def _first_prior(self, cluster: Cluster) -> Factor:
         """Prior that holds the map's first pose: level well, yaw loosely."""

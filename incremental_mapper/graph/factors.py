@@ -208,24 +208,42 @@ def _describe_gnss(
 def imu_factor(
     start: int,
     end: int,
-    preintegrated: gtsam.PreintegratedCombinedMeasurements,
+    preintegrated: gtsam.PreintegratedCombinedMeasurements | gtsam.PreintegratedImuMeasurements,
     sensor: str,
     span: tuple[int, int],
     samples: NDArray[np.int64],
+    bias: int | None = None,
 ) -> Factor:
-    """Pre-integrated span between two clusters; ``samples`` are the stamps of what it holds."""
-    keys = (
-        pose_key(start),
-        velocity_key(start),
-        pose_key(end),
-        velocity_key(end),
-        bias_key(start),
-        bias_key(end),
-    )
+    """Pre-integrated span between two clusters.
+
+    Args:
+        start: Number of the cluster where it starts.
+        end: Number of the cluster where it ends.
+        preintegrated: The span: one with a constant bias, or one in which the bias walks from
+            that of its start to that of its end.
+        sensor: Name of the IMU.
+        span: Stamps of the two clusters, ns.
+        samples: Stamps (K,) of what it holds, ns.
+        bias: Number of the cluster whose bias is the constant one; the start's by default.
+
+    Returns:
+        The factor.
+    """
+    x_start, v_start = pose_key(start), velocity_key(start)
+    x_end, v_end = pose_key(end), velocity_key(end)
+    factor: gtsam.NonlinearFactor
+    if isinstance(preintegrated, gtsam.PreintegratedImuMeasurements):
+        shared = bias_key(start if bias is None else bias)
+        factor = gtsam.ImuFactor(x_start, v_start, x_end, v_end, shared, preintegrated)
+    else:
+        b_start, b_end = bias_key(start), bias_key(end)
+        factor = gtsam.CombinedImuFactor(
+            x_start, v_start, x_end, v_end, b_start, b_end, preintegrated
+        )
     return Factor(
         kind=FactorKind.IMU,
-        keys=keys,
-        factor=gtsam.CombinedImuFactor(*keys, preintegrated),
+        keys=tuple(factor.keys()),
+        factor=factor,
         sensor=sensor,
         stamps=(int(samples[0]), int(samples[-1])),
         describe=partial(_describe_imu, span, len(samples)),

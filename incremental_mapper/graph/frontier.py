@@ -13,7 +13,9 @@ class Frontier:
 
     ``chains`` holds the cluster, and the stamp, of each LiDAR's last scan; ``head`` is the
     cluster to connect from and ``head_inertial`` says whether it has velocity and bias;
-    ``inertial`` is the last one that has.
+    ``inertial`` is the last one that has. ``bias`` is the cluster whose bias is the newest one, and
+    ``bias_stamp`` where the first span with it started: with ``graph.bias_period`` a bias may serve
+    many spans.
     """
 
     chains: Mapping[str, tuple[int, int]] = field(default_factory=dict)
@@ -24,6 +26,8 @@ class Frontier:
     inertial_stamp: int = 0
     newest: int | None = None
     newest_stamp: int = 0
+    bias: int | None = None
+    bias_stamp: int = 0
 
     def homes(self) -> dict[tuple[str, int], int]:
         """Cluster of each LiDAR's last scan, by sensor and stamp (ns)."""
@@ -37,6 +41,8 @@ class Frontier:
         for id_ in (self.head, self.inertial):
             if id_ is not None:
                 keys |= {velocity_key(id_), bias_key(id_)}
+        if self.bias is not None:
+            keys.add(bias_key(self.bias))
         return keys
 
 

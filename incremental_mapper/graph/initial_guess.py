@@ -6,6 +6,7 @@ import gtsam
 
 from incremental_mapper.candidates.model import HEAD, Candidate
 from incremental_mapper.frontend.dead_reckoning import State, normalise
+from incremental_mapper.graph.bias_sharing import BiasSharing
 from incremental_mapper.graph.connectivity import Partitions
 from incremental_mapper.graph.frontier import Frontier
 from incremental_mapper.variables import bias_key, insert_bias, pose_key, velocity_key
@@ -20,6 +21,7 @@ class InitialGuess:
         head_state: State,
         frontier: Frontier,
         partitions: Partitions,
+        bias: BiasSharing,
     ) -> None:
         """Nothing is computed before it is asked for.
 
@@ -28,11 +30,13 @@ class InitialGuess:
             head_state: State of the cluster of G(t-1) to connect from.
             frontier: What G(t-1) lets a factor touch.
             partitions: The numbers of the window's clusters.
+            bias: Which bias the window's spans have.
         """
         self._states = states
         self._head_state = head_state
         self._frontier = frontier
         self._partitions = partitions
+        self._bias = bias
 
     def values(self, candidate: Candidate) -> gtsam.Values:
         """Initial values of a candidate's new variables, from the predicted states.
@@ -73,11 +77,15 @@ class InitialGuess:
             head = self._frontier.head
             assert head is not None
             self._add_inertial(head, self._head_state, values)
+        home = self._bias.home(candidate, self._partitions.number)
+        if home is not None and home != self._bias.kept and not values.exists(bias_key(home)):
+            insert_bias(values, bias_key(home), self._head_state.bias)
 
     def _add_inertial(self, cluster: int, state: State, values: gtsam.Values) -> None:
         if not values.exists(velocity_key(cluster)):
             values.insert(velocity_key(cluster), state.velocity)
-            insert_bias(values, bias_key(cluster), state.bias)
+            if not self._bias.shared:
+                insert_bias(values, bias_key(cluster), state.bias)
 
     def warm_start(self, candidate: Candidate, values: gtsam.Values) -> dict[int, State]:
         """States at the window's stamps, put right by a solved candidate.
@@ -98,6 +106,7 @@ class InitialGuess:
             for index in candidate.inertial_clusters
             if index != HEAD
         }
+        home = self._bias.home(candidate, self._partitions.number)
         for stamp, predicted in self._states.items():
             near = min(solved, key=lambda other: abs(other - stamp))
             before = self._states[near]
@@ -110,6 +119,9 @@ class InitialGuess:
                 own = solved[near]
                 change = predicted.velocity - self._states[near].velocity
                 velocity = values.atVector(velocity_key(own)) + change
-                bias = values.atConstantBias(bias_key(own))
+                biased = own if home is None else home
+                # A solution holds new variables alone: the bias of G(t-1) may not be among them.
+                if values.exists(bias_key(biased)):
+                    bias = values.atConstantBias(bias_key(biased))
             found[stamp] = State(stamp, normalise(pose), velocity, bias)
         return found

@@ -23,7 +23,7 @@ from incremental_mapper.smoothing.graph_state import (
     PlacedScan,
 )
 from incremental_mapper.smoothing.smoother import commit_solution, smoother_update
-from incremental_mapper.variables import bias_key, copy_value, pose_key, velocity_key
+from incremental_mapper.variables import bias_key, cluster_of, copy_value, pose_key, velocity_key
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,7 +79,16 @@ def commit(state: GraphState, window: int, choice: Choice, problem: WindowProble
         state.define_enu(problem.inputs.enu_offset)
     state.add_clusters(placed, scans, fixes)
     state.add_factors(made, prior)
+    home = problem.inputs.bias.home(candidate, problem.partitions.number)
     frontier = _next_frontier(state, placed, problem, choice.consecutive)
+    if not problem.inputs.bias.shared:
+        frontier = replace(frontier, bias=frontier.inertial, bias_stamp=frontier.inertial_stamp)
+    elif home is not None and home != problem.inputs.bias.kept:
+        frontier = replace(
+            frontier,
+            bias=cluster_of(final[bias_key(home)]),
+            bias_stamp=candidate.connections[0].start_stamp,
+        )
     states = problem.inputs.states
     oldest = frontier.newest_stamp - round(config.graph.lag * NANOSECONDS)
     state.advance(frontier, states[max(states)].velocity, oldest)
@@ -178,4 +187,6 @@ def _next_frontier(
         inertial_stamp=inertial_stamp,
         newest=newest.id,
         newest_stamp=newest_stamp,
+        bias=old.bias,
+        bias_stamp=old.bias_stamp,
     )

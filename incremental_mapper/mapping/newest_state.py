@@ -96,7 +96,7 @@ def _rate(
     )
     noise = np.eye(3) * imu.gyroscope_noise**2 / max(spacing, 1e-4)
     noise += np.eye(3) * (ANGULAR_ACCELERATION * apart / NANOSECONDS) ** 2
-    key = None if frontier.inertial is None else bias_key(frontier.inertial)
+    key = None if frontier.bias is None else bias_key(frontier.bias)
     if key is not None and key in state.prior.keys:
         known = state.prior.covariance(key)
         noise = noise + (0.0 if known is None else known[3:, 3:])

@@ -230,9 +230,13 @@ def map_statistics(
         unused: Core measurements that wait for something that connects them.
         datum: Origin of ENU, if there is one.
     """
-    # A velocity never comes without a bias.
-    clusters, inertial = len(state.clusters), len(state.inertial)
-    vertices, factors, kinds = clusters + 2 * inertial, len(state.factors), state.factor_counts
+    by_kind = {
+        'pose': len(state.clusters),
+        'velocity': len(state.inertial),
+        'bias': len(state.biased),
+    }
+    clusters, vertices = len(state.clusters), sum(by_kind.values())
+    factors, kinds = len(state.factors), state.factor_counts
     drive = 0.0
     if totals.first_stamp is not None:
         passed = totals.last_stamp - totals.first_stamp - totals.skipped
@@ -244,7 +248,7 @@ def map_statistics(
         clusters=clusters,
         vertices=vertices,
         factors=factors,
-        vertices_by_kind={'pose': clusters, 'velocity': inertial, 'bias': inertial},
+        vertices_by_kind=by_kind,
         factors_by_kind=dict(sorted(kinds.items())),
         base_clusters=base.clusters,
         base_vertices=base.vertices,

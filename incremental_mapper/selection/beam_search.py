@@ -175,6 +175,7 @@ class _Search:
         candidate = Candidate(
             (*prefix.candidate.clusters, cluster),
             prefix.candidate.connections if link is None else (*prefix.candidate.connections, link),
+            self._problem.imu.bias,
         )
         if link is None and not self._can_connect(candidate, cluster, node):
             return
@@ -247,9 +248,14 @@ class _Search:
                 # The span that will pass over these says where they are.
                 passed = candidate.clusters[node + 1 :]
                 needed |= {pose_key(number(cluster)) for cluster in passed}
-        for cluster in inertial:
-            needed |= {velocity_key(cluster), bias_key(cluster)}
-        return needed
+        needed |= {velocity_key(cluster) for cluster in inertial}
+        sharing = self._problem.inputs.bias
+        if sharing.shared:
+            home = sharing.home(candidate, number)
+            biased = {self._frontier.bias if home is None else home}
+        else:
+            biased = set(inertial)
+        return needed | {bias_key(cluster) for cluster in biased if cluster is not None}
 
     def _cluster(self, first: int, last: int) -> Cluster | None:
         if (first, last) not in self._clusters:

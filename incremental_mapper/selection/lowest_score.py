@@ -14,7 +14,7 @@ from scipy.stats import chi2
 
 from incremental_mapper.candidates.enumeration import base_candidate
 from incremental_mapper.candidates.local_moves import neighbours
-from incremental_mapper.candidates.model import Candidate
+from incremental_mapper.candidates.model import HEAD, Candidate
 from incremental_mapper.candidates.time_shift_search import by_time_shift
 from incremental_mapper.scoring import mom
 from incremental_mapper.scoring.criteria import ByFunction, Criterion, Mom, Proposal, mom_criterion
@@ -282,8 +282,9 @@ class _Selection:
     def _freedom(self, candidate: Candidate) -> int:
         """Degrees of freedom: dimensions of the factors less those of the variables."""
         factors = self._problem.factors.factors(candidate)
-        inertial = (candidate.vertices - len(candidate.clusters)) // 2
-        variables = 6 * len(candidate.clusters) + 9 * inertial
+        inertial = len(candidate.inertial_clusters - {HEAD})
+        biases = candidate.vertices - len(candidate.clusters) - inertial
+        variables = 6 * len(candidate.clusters) + 3 * inertial + 6 * biases
         return sum(factor.factor.dim() for factor in factors) - variables
 
     def _change_decisions(self, criterion: Criterion) -> list[Candidate]:

@@ -15,6 +15,7 @@ from incremental_mapper.config import Config
 from incremental_mapper.frontend.dead_reckoning import State, predict, turns_of
 from incremental_mapper.frontend.front_end import Prepared, PreparedFix
 from incremental_mapper.frontend.imu_preintegration import ImuSeries, level_rotation
+from incremental_mapper.graph.bias_sharing import sharing
 from incremental_mapper.graph.connectivity import Partitions
 from incremental_mapper.graph.factor_builder import FactorBuilder, WindowInputs
 from incremental_mapper.graph.initial_guess import InitialGuess
@@ -154,12 +155,14 @@ def pose_problem(
     return WindowProblem(
         config=config,
         inputs=inputs,
-        imu=ImuStamps(series.stamps, max_gap),
+        imu=ImuStamps(series.stamps, max_gap, inputs.bias.use),
         prior=prior,
         partitions=partitions,
         compensation=compensation,
         factors=factors,
-        guess=InitialGuess(inputs.states, inputs.head_state, inputs.frontier, partitions),
+        guess=InitialGuess(
+            inputs.states, inputs.head_state, inputs.frontier, partitions, inputs.bias
+        ),
         local_maps=LocalMapBuilder(items, inputs, partitions, compensation, state, recent),
         # How far a merged measurement must be moved is unknown before the velocity is.
         may_merge=state.velocity_known or not config.graph.motion_compensation,
@@ -201,16 +204,17 @@ def window_inputs(
         enu_offset=_enu_offset(items, state, states, config),
         fix_inflation=fix_spread(state, items),
         known=_motion_sigmas(state, config),
+        bias=sharing(frontier, items[0].core.stamp, config.graph, config.selection.strategy),
         config=config,
     )
 
 
 def _motion_sigmas(state: GraphState, config: Config) -> MotionSigmas:
     """How well velocity and bias are known where the window starts."""
-    head, graph = state.frontier.head, config.graph
+    frontier, graph = state.frontier, config.graph
     known = None
-    if head is not None and state.frontier.head_inertial:
-        known = state.prior.covariance(velocity_key(head), bias_key(head))
+    if frontier.head is not None and frontier.head_inertial and frontier.bias is not None:
+        known = state.prior.covariance(velocity_key(frontier.head), bias_key(frontier.bias))
     if known is None:
         return MotionSigmas(graph.prior_sigma_velocity, graph.prior_sigma_gyroscope_bias)
     # The bias has the accelerometer's three first.
@@ -226,7 +230,9 @@ def _head_state(state: GraphState) -> State:
         stamp=frontier.head_stamp,
         pose=state.pose(frontier.head),
         velocity=state.velocity(frontier.head) if inertial else state.last_velocity,
-        bias=state.bias(frontier.head) if inertial else state.last_bias,
+        bias=state.bias(frontier.bias)
+        if inertial and frontier.bias is not None
+        else state.last_bias,
     )
 
 

@@ -37,7 +37,16 @@ FILE = 'failed_window_{}.npz'
 FORMAT = 1
 PACKAGE = 'incremental_mapper.'
 RECENT_FIXES = 50
-LEFT_OUT = ('store', 'clusters', 'factors', 'scans', 'components', 'factor_counts', 'inertial')
+LEFT_OUT = (
+    'store',
+    'clusters',
+    'factors',
+    'scans',
+    'components',
+    'factor_counts',
+    'inertial',
+    'biased',
+)
 """What of G(t-1) grows with the drive; no choice depends on it."""
 
 Tree = Any

@@ -125,7 +125,8 @@ class GraphState:
         corrections: How often all of it was moved at once: by closures, or into another frame.
         shifted: Metres that closures have moved its poses by, summed up.
         factor_counts: Factors by kind.
-        inertial: Clusters with velocity and bias.
+        inertial: Clusters with a velocity.
+        biased: Clusters with a bias, which may serve the spans of others.
     """
 
     store: PointStore = field(default_factory=MemoryStore)
@@ -150,6 +151,7 @@ class GraphState:
     shifted: float = 0.0
     factor_counts: Counter[str] = field(default_factory=Counter)
     inertial: set[int] = field(default_factory=set)
+    biased: set[int] = field(default_factory=set)
 
     # --- what it is asked
 
@@ -179,7 +181,7 @@ class GraphState:
         return not any(cluster_of(key) == cluster for key in self.prior.held)
 
     def has_inertial(self, cluster: int) -> bool:
-        """Whether a cluster has velocity and bias."""
+        """Whether a cluster has a velocity."""
         key = velocity_key(cluster)
         return self.values.exists(key) or self.prior.base.exists(key)
 
@@ -254,6 +256,8 @@ class GraphState:
             for key in factor.keys:
                 if kind_of(key) == 'v':
                     self.inertial.add(cluster_of(key))
+                elif kind_of(key) == 'b':
+                    self.biased.add(cluster_of(key))
             # What carries velocity and bias over is no measurement: what only that holds
             # together counts as apart.
             if factor.kind not in BETWEEN_STATES:
@@ -286,7 +290,9 @@ class GraphState:
         }
         head = frontier.head
         if head is not None and frontier.head_inertial:
-            self.last_velocity, self.last_bias = self.velocity(head), self.bias(head)
+            self.last_velocity = self.velocity(head)
+            if frontier.bias is not None:
+                self.last_bias = self.bias(frontier.bias)
             self.velocity_known = self.velocity_known or self._pins_velocity(head)
         else:
             self.last_velocity = predicted_velocity

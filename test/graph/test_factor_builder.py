@@ -16,6 +16,7 @@ from turning_car import (
     items_at,
     known_state,
     motion,
+    own_biases,
     problem_of,
     true_values,
     truth,
@@ -157,7 +158,7 @@ def connected(problem, groups, *links):
         begin = 0 if start < 0 else bare.clusters[start].stamp
         stop = bare.clusters[end].stamp
         made.append(Connection(start, end, begin, stop, problem.imu.first_sample(begin, stop)))
-    return Candidate(bare.clusters, tuple(made))
+    return Candidate(bare.clusters, tuple(made), problem.imu.bias)
 
 
 SPREAD = {40 * MS: {'left'}, 140 * MS: {'right'}, 240 * MS: {'left'}}
@@ -166,7 +167,7 @@ ALONE = (0, 0), (1, 1), (2, 2)
 
 def test_chain_that_starts_anew_is_held_by_the_last_velocity_and_bias():
     walks = {'accelerometer_bias_walk': 0.2, 'gyroscope_bias_walk': 0.003}
-    config = car_settings(preintegration={'max_gap': 0.15, **walks})
+    config = own_biases(preintegration={'max_gap': 0.15, **walks})
     problem = problem_of(SPREAD, config=config)
     candidate = connected(problem, ALONE, (0, 1))
     factors = problem.factors.factors(candidate)
@@ -182,7 +183,7 @@ def test_chain_that_starts_anew_is_held_by_the_last_velocity_and_bias():
 
 
 def test_second_chain_of_a_window_goes_on_from_the_first():
-    problem = problem_of({**SPREAD, 290 * MS: {'right'}})
+    problem = problem_of({**SPREAD, 290 * MS: {'right'}}, config=own_biases())
     candidate = connected(problem, (*ALONE, (3, 3)), (0, 1), (2, 3))
     walks = of_kind(problem.factors.factors(candidate), FactorKind.BIAS_RANDOM_WALK)
     numbers = [problem.partitions.number(cluster) for cluster in candidate.clusters]
@@ -194,7 +195,7 @@ def test_second_chain_of_a_window_goes_on_from_the_first():
 
 
 def test_velocity_is_forgotten_after_a_gap_and_the_bias_is_not():
-    config = car_settings(preintegration={'max_gap': 0.1}, graph={'weak_sigma_velocity': 0.7})
+    config = own_biases(preintegration={'max_gap': 0.1}, graph={'weak_sigma_velocity': 0.7})
     series = imu_series(-50 * MS, 300 * MS)
     state = known_state()
     problem = problem_of(SPREAD, state, config, series)
@@ -211,7 +212,7 @@ def test_velocity_is_forgotten_after_a_gap_and_the_bias_is_not():
 def test_first_chain_of_all_has_priors_of_its_own():
     graph = {'prior_sigma_velocity': 7.0, 'prior_sigma_accelerometer_bias': 0.3}
     graph |= {'prior_sigma_gyroscope_bias': 0.02}
-    config = car_settings(graph=graph)
+    config = own_biases(graph=graph)
     problem = problem_of(SPREAD, known_state(head_inertial=False), config)
     candidate = connected(problem, ALONE, (-1, 0))
     factors = problem.factors.factors(candidate)
@@ -225,7 +226,7 @@ def test_first_chain_of_all_has_priors_of_its_own():
 
 
 def test_factors_of_a_longer_prefix_are_those_that_it_has_more():
-    problem = problem_of(SPREAD)
+    problem = problem_of(SPREAD, config=own_biases())
     candidate = connected(problem, ALONE, (-1, 0), (0, 1), (1, 2))
     every = problem.factors.factors(candidate)
     for since in range(4):
@@ -297,7 +298,7 @@ def test_scans_that_have_odometry_and_those_that_it_starts_from_are_known():
 def test_velocity_and_bias_may_change_for_a_millisecond_at_the_least():
     walks = {'accelerometer_bias_walk': 0.2, 'gyroscope_bias_walk': 0.003}
     problem = problem_of(
-        {MS // 2: {'left'}, 140 * MS: {'right'}}, config=car_settings(preintegration=walks)
+        {MS // 2: {'left'}, 140 * MS: {'right'}}, config=own_biases(preintegration=walks)
     )
     candidate = connected(problem, ((0, 0), (1, 1)), (0, 1))
     factors = problem.factors.factors(candidate)

@@ -3,7 +3,16 @@
 import gtsam
 import numpy as np
 import pytest
-from turning_car import MS, assert_poses, known_state, problem_of, true_values, truth, velocity
+from turning_car import (
+    MS,
+    assert_poses,
+    known_state,
+    own_biases,
+    problem_of,
+    true_values,
+    truth,
+    velocity,
+)
 
 from incremental_mapper.candidates.enumeration import candidates
 from incremental_mapper.variables import bias_key, pose_key, velocity_key
@@ -22,7 +31,7 @@ def candidate_with(problem, *bounds):
 
 
 def test_every_new_variable_starts_at_its_prediction():
-    problem = problem_of(WINDOW)
+    problem = problem_of(WINDOW, config=own_biases())
     candidate = candidate_with(problem, (0, 1), (2, 2), (3, 3))
     values = problem.guess.values(candidate)
     numbers = [problem.partitions.number(cluster) for cluster in candidate.clusters]
@@ -35,7 +44,7 @@ def test_every_new_variable_starts_at_its_prediction():
 
 
 def test_head_gets_velocity_and_bias_where_it_has_none():
-    problem = problem_of(WINDOW, known_state(head_inertial=False))
+    problem = problem_of(WINDOW, known_state(head_inertial=False), own_biases())
     candidate = candidate_with(problem, (0, 0), (1, 1), (2, 2), (3, 3))
     values = problem.guess.values(candidate)
     assert values.atVector(velocity_key(0)) == pytest.approx(velocity(0))
@@ -58,7 +67,7 @@ def test_what_is_there_already_stays():
 
 
 def test_states_differ_from_the_prediction_as_the_nearest_cluster_does():
-    problem = problem_of(WINDOW)
+    problem = problem_of(WINDOW, config=own_biases())
     candidate = candidate_with(problem, (0, 2), (3, 3))
     first, last = candidate.clusters
     assert (first.stamp, last.stamp) == (62 * MS, 140 * MS)

@@ -13,6 +13,7 @@ from turning_car import (
     imu_series,
     known_state,
     motion,
+    own_biases,
     problem_of,
     scan,
     truth,
@@ -140,8 +141,28 @@ def test_next_window_starts_from_the_newest_cluster_with_velocity():
     assert set(state.prior.keys) == {
         *(pose_key(number) for number in (2, 3)),
         velocity_key(3),
-        bias_key(3),
+        bias_key(0),
     }
+    assert (frontier.bias, frontier.bias_stamp) == (0, 0)
+
+
+def test_a_bias_that_has_served_gives_way_to_one_of_the_window():
+    state = known_state()
+    problem = problem_of(WINDOW, state, car_settings(graph={'bias_period': 0.03}))
+    commit(state, 1, chosen(problem, candidate_with(problem, *GROUPS[0])), problem)
+    assert (state.frontier.bias, state.frontier.bias_stamp) == (1, 0)
+    assert state.biased == {0, 1} and len(state.inertial) == 4
+    assert bias_key(1) in state.prior.keys and bias_key(0) not in state.prior.keys
+
+
+def test_each_end_of_a_span_has_a_bias_where_none_is_shared():
+    state = known_state()
+    problem = problem_of(WINDOW, state, own_biases())
+    commit(state, 1, chosen(problem, candidate_with(problem, *GROUPS[0])), problem)
+    frontier = state.frontier
+    assert (frontier.bias, frontier.bias_stamp) == (frontier.inertial, frontier.inertial_stamp)
+    assert state.biased == state.inertial
+    assert bias_key(3) in state.prior.keys
 
 
 def test_chain_goes_on_from_a_scan_inside_a_merged_cluster():
@@ -243,7 +264,7 @@ def test_velocity_is_the_predicted_one_where_the_graph_has_none():
 
 def test_what_is_older_than_the_lag_no_longer_changes():
     state = known_state()
-    config = car_settings(graph={'lag': 0.07})
+    config = own_biases(graph={'lag': 0.07})
     problem = problem_of(WINDOW, state, config)
     commit(state, 1, chosen(problem, candidate_with(problem, *GROUPS[0])), problem)
     # 140 ms less 70 ms: what is at 62 ms and before has left.

@@ -116,8 +116,8 @@ def test_run_counts_what_is_in_the_graph():
     inertial = 1 + len(winner.inertial_clusters - {-1})
     clusters = 1 + len(winner.clusters)
     assert stats['clusters'] == clusters
-    assert stats['vertices'] == clusters + 2 * inertial
-    kinds = {'pose': clusters, 'velocity': inertial, 'bias': inertial}
+    assert stats['vertices'] == clusters + inertial + 1
+    kinds = {'pose': clusters, 'velocity': inertial, 'bias': 1}
     assert stats['vertices_by_kind'] == kinds
     assert stats['factors'] == len(state.factors) == sum(stats['factors_by_kind'].values())
     assert stats['factors_by_kind']['imu'] == len(winner.connections)
