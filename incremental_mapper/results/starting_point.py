@@ -78,14 +78,6 @@ def starting_point(shapes: Mapping[str, LidarShape], imu_rate: float = 0.0) -> t
                 KITTI,
             )
         )
-        chosen.append(
-            Choice(
-                'graph.dead_reckoning',
-                True,
-                'one LiDAR, a quick IMU: it turns poses within a span better than one match does',
-                KITTI,
-            )
-        )
     points = max((shape.points for shape in shapes.values()), default=0)
     if points > DENSE:
         why = f'{points} points a scan: matches are as good and take half the time'
