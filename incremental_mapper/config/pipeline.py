@@ -175,7 +175,7 @@ class GraphSettings(Section):
     """Move each measurement of a merged cluster to the cluster's stamp by the predicted motion;
     false is the paper's choice."""
     dead_reckoning: bool = True
-    """Hold clusters that an IMU span passes over by dead reckoning from its start as well: rotations
+    """Hold clusters that an IMU span passes over by dead reckoning from its start as well: turns
     from pose to pose are 1.5 to 4 times as exact, at the cost of a factor for each. false leaves
     such clusters to their matches (paper)."""
     bias_period: float = Field(default=1.0, ge=0.0, le=60.0)
