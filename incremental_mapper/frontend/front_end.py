@@ -84,6 +84,7 @@ class FrontEnd:
             imu_expected: Whether there is an IMU; without, scans wait for none until it has told.
         """
         self._config = config
+        self._imu_expected = imu_expected
         self._imu = ImuSupply(imu_expected, config.window.lateness)
         self._waiting: dict[str, deque[_Waiting]] = {}
         self._stations: dict[str, ScanStation] = {}
@@ -127,6 +128,18 @@ class FrontEnd:
         if self._config.odometry.imu_guess:
             self._imu.add(sample)
             self._release()
+
+    def restart(self) -> None:
+        """Forget what was begun and all samples; to be called before the first ``start``."""
+        self._imu = ImuSupply(self._imu_expected, self._config.window.lateness)
+        self._waiting = {}
+        spoiled = {sensor for sensor, _ in self._begun}
+        self._begun = {}
+        self.notes = Counter()
+        for name in spoiled & self._stations.keys():
+            self._stations.pop(name).close()
+            if self._config.odometry.processes:
+                self._station(name)
 
     def passed(self, newest: int) -> None:
         """Take note of the newest stamp (ns) of all sensors, by which a silent IMU is told."""

@@ -131,6 +131,7 @@ class Mapper:
             better=prefer_usable(config),
             begin=self._front_end.begin if predict else None,
             sample=self._front_end.imu,
+            restart=self._front_end.restart,
         )
         with waiting():  # while the front end's processes start
             linear_system.warm_up()

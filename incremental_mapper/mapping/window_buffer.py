@@ -11,7 +11,6 @@ every sensor keeps to what was usual for it; a message that does not, and comes 
 was closed, is late.
 """
 
-from bisect import bisect_right
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ from itertools import pairwise
 from statistics import median_low
 
 from incremental_mapper.config import WindowSettings
+from incremental_mapper.mapping.first_stamps import FIRST, largest, moments, tell_the_time
 from incremental_mapper.mapping.pace import Pace
 from incremental_mapper.measurements import (
     NANOSECONDS,
@@ -36,13 +36,6 @@ LEAP_LATENESS, LEAP_STEPS = 2, 4
 come in that late, and keyframes of real recordings are seconds apart."""
 STEPS = 9
 """Steps of the clock that tell what is usual."""
-FIRST = 5
-"""Measurements that tell what time it is: in order, or of one moment."""
-MOMENT = 5 * NANOSECONDS
-"""What is no further apart is of one moment."""
-MOST_FIRST = 60
-"""So many are waited for at the most where they contradict each other, a third of them with stamps
-of their own: a driver that starts may repeat one for seconds."""
 LEAP_WITNESSES = 8
 """So many measurements in a row beyond a leap prove that the clock did move."""
 AGREEMENT = 10 * NANOSECONDS
@@ -51,7 +44,8 @@ stray stamps are anywhere."""
 MOST_SUSPECTS = 1000
 """Measurements beyond a leap that wait for proof."""
 MAX_BEHIND = 10 * NANOSECONDS
-"""A stamp that far behind the first ones does not begin the windows."""
+"""A stamp that far behind the first ones does not begin the windows, unless as many others say that
+it is the first ones that are far ahead."""
 PATIENCE = 3 * NANOSECONDS
 """A buffer that predicts waits so long for sensors that have never sent anything."""
 
@@ -86,7 +80,8 @@ class WindowBuffer:
     With ``predict`` none is waited for beyond what is usual for it. ``better`` tells whether a
     measurement takes the place of one with its sensor and stamp. ``begin`` is told of each one that
     goes on from its sensor's newest and is not ahead of the others: it will be handed out as the
-    next of its sensor. ``sample`` is told of each IMU sample that will be handed out.
+    next of its sensor. ``sample`` is told of each IMU sample that will be handed out. ``restart``
+    is called before the first window where that will not be: their stamps proved to be strays.
     """
 
     def __init__(
@@ -97,11 +92,13 @@ class WindowBuffer:
         better: Callable[[CoreInput, CoreInput], bool] = lambda new, held: False,
         begin: Callable[[CoreInput], None] | None = None,
         sample: Callable[[ImuSample], None] = lambda sample: None,
+        restart: Callable[[], None] = lambda: None,
     ) -> None:
         self._awaited = set(sensors)
         self._predict = predict
         self._paces: dict[str, Pace] = {}
         self._better, self._begin, self._sample = better, begin, sample
+        self._restart = restart
         self._begun: dict[str, int] = {}  # newest stamp by sensor
         self._unbegun: set[tuple[int, str]] = set()  # core measurements that wait
         self._duration = round(settings.duration * NANOSECONDS)
@@ -112,6 +109,8 @@ class WindowBuffer:
         self._steps: deque[int] = deque(maxlen=STEPS)
         self._suspects: list[Measurement] = []  # beyond a leap, in the order of arrival
         self._in_a_row = 0  # of them, since a stamp was in time
+        self._behind: list[Measurement] = []  # far behind all others, before the grid starts
+        self._behind_in_a_row = 0
         self._first: list[Measurement] | None = []  # None once the clock is known
         self._start: int | None = None
         self._first_start = 0  # of the whole grid
@@ -127,7 +126,7 @@ class WindowBuffer:
         """Take in one measurement; what cannot be used is counted in ``drops``."""
         if self._first is not None:
             self._first.append(measurement)
-            if _tell_the_time(self._first):
+            if tell_the_time(self._first):
                 self._set_clock()
             return
         stamp = measurement.stamp
@@ -141,8 +140,9 @@ class WindowBuffer:
             self._refute(self._newest.keys())
         if self._start is None and newest - stamp > max(MAX_BEHIND, self._lateness):
             # Nothing else would be late before the grid starts: it would start there.
-            self.drops[measurement.sensor, 'stamp_leap'] += 1
+            self._contradict(measurement)
             return
+        self._behind_in_a_row = 0
         self._insert(measurement)
 
     @property
@@ -165,6 +165,7 @@ class WindowBuffer:
         if self._in_a_row > 1:  # nothing will come to refute them
             self._believe([item for item in self._suspects if self._agree(item)])
         self._refute({item.sensor for item in self._suspects})
+        self._refute_behind()
         windows: list[Window] = []
         while True:
             window = self._next(None)
@@ -182,22 +183,23 @@ class WindowBuffer:
         first, self._first = self._first, None
         if not first:
             return
-        stamps = _moments(first)
-        now = _largest(stamps)
+        stamps = moments(first)
+        now = largest(stamps)
         if len(now) >= FIRST:
             stamps = now
         middle = stamps[(len(stamps) - 1) // 2]
         most = self._leap([after - before for before, after in pairwise(stamps)])
         least = -max(MAX_BEHIND, self._lateness)
         beyond = [item for item in first if item.stamp - middle > most]
+        behind = [item for item in first if item.stamp - middle < least]
         for item in first:
-            if item.stamp - middle < least:
-                self.drops[item.sensor, 'stamp_leap'] += 1
-            elif item not in beyond:
+            if item not in beyond and item not in behind:
                 self._insert(item)
         for item in beyond:
             self._suspect(item)
-        self._in_a_row = 0
+        for item in behind:
+            self._hold_behind(item)
+        self._in_a_row = self._behind_in_a_row = 0
 
     def _leap(self, steps: Sequence[int]) -> int:
         """Nanoseconds by which a stamp may be ahead of all others, by the usual steps of time."""
@@ -227,10 +229,55 @@ class WindowBuffer:
         elif len(self._suspects) > MOST_SUSPECTS:
             self.drops[self._suspects.pop(0).sensor, 'stamp_leap'] += 1
 
+    def _contradict(self, measurement: Measurement) -> None:
+        """Hold what is far behind; where it is more than what is in time, that is given up."""
+        if not self._hold_behind(measurement):
+            return
+        alike = [item for item in self._behind if self._near(item, measurement)]
+        in_time = len(self)
+        if self._behind_in_a_row >= LEAP_WITNESSES or len(alike) > max(in_time, LEAP_WITNESSES):
+            self._give_up(alike)
+
+    def _hold_behind(self, measurement: Measurement) -> bool:
+        """Hold what is far behind; returns whether it is another one than those that are held."""
+        sensor, stamp = measurement.sensor, measurement.stamp
+        if any(item.stamp == stamp and item.sensor == sensor for item in self._behind):
+            self.drops[sensor, 'duplicate_stamp'] += 1
+            return False
+        if self._behind and not self._near(self._behind[-1], measurement):
+            self._behind_in_a_row = 0
+        self._behind.append(measurement)
+        self._behind_in_a_row += 1
+        if len(self._behind) > MOST_SUSPECTS:
+            self.drops[self._behind.pop(0).sensor, 'stamp_leap'] += 1
+        return True
+
+    def _give_up(self, witnesses: Sequence[Measurement]) -> None:
+        """Begin anew with ``witnesses``; what was in time by now was ahead of it."""
+        for _, sensor in [*self._core, *self._imu]:
+            self.drops[sensor, 'stamp_leap'] += 1
+        self._core, self._imu, self._newest = {}, {}, {}
+        self._paces, self._begun, self._unbegun = {}, {}, set()
+        self._steps.clear()
+        self._restart()
+        for witness in witnesses:
+            self._insert(witness)
+        self._behind = [item for item in self._behind if item not in witnesses]
+        self._in_a_row = self._behind_in_a_row = 0
+
+    def _refute_behind(self) -> None:
+        """Leave out what is far behind."""
+        for item in self._behind:
+            self.drops[item.sensor, 'stamp_leap'] += 1
+        self._behind = []
+
     def _agree(self, item: Measurement) -> bool:
         """Whether a measurement may be of the same leap as the last suspect."""
-        apart = abs(item.stamp - self._suspects[-1].stamp)
-        return apart <= max(AGREEMENT, self._leap(self._steps))
+        return self._near(item, self._suspects[-1])
+
+    def _near(self, one: Measurement, other: Measurement) -> bool:
+        """Whether two measurements may be of one leap."""
+        return abs(one.stamp - other.stamp) <= max(AGREEMENT, self._leap(self._steps))
 
     def _believe(self, witnesses: Sequence[Measurement]) -> None:
         """All clocks moved on: none is waited for in the time that was leapt over."""
@@ -331,6 +378,7 @@ class WindowBuffer:
             if watermark is not None and watermark < oldest + self._duration:
                 return None
             self._start = self._first_start = oldest
+            self._refute_behind()
         # Empty windows are passed over, but only once nothing can come to fill them.
         start = self._start + max(oldest - self._start, 0) // self._duration * self._duration
         end = start + self._duration
@@ -353,28 +401,3 @@ class WindowBuffer:
             core=tuple(self._core.pop(key) for key in core),
             imu=tuple(self._imu.pop(key) for key in imu),
         )
-
-
-def _moments(items: Sequence[Measurement]) -> Sequence[int]:
-    """The stamps (ns) of measurements in their order, each of a sensor once."""
-    return sorted(stamp for _, stamp in {(item.sensor, item.stamp) for item in items})
-
-
-def _largest(moments: Sequence[int]) -> Sequence[int]:
-    """The largest group of sorted moments within ``MOMENT``."""
-    groups = [
-        moments[begin : bisect_right(moments, moment + MOMENT)]
-        for begin, moment in enumerate(moments)
-    ]
-    return max(groups, key=len)
-
-
-def _tell_the_time(items: Sequence[Measurement]) -> bool:
-    """Whether the first measurements suffice: strays go anywhere, and keyframes in order."""
-    moments = _moments(items)
-    if len(moments) < FIRST:
-        return len(items) >= MOST_FIRST
-    if len(moments) >= MOST_FIRST // 3 or len(items) >= MOST_FIRST:
-        return True
-    in_order = all(before.stamp <= after.stamp for before, after in pairwise(items))
-    return in_order or len(_largest(moments)) >= FIRST

@@ -95,6 +95,7 @@ class _Sensor:
 
     newest: int
     heard: int  # number of the arrival with which it last went on
+    begun: int  # number of its first arrival
     went_on: int = 0  # messages with which it did
     lags: deque[int] = field(default_factory=_usual)  # how far it is behind the others
     steps: deque[int] = field(default_factory=_usual)
@@ -191,7 +192,7 @@ class JumpFilter:
             measurement = self._realigned(sensor, measurement, others)
         stamp = measurement.stamp
         if sensor is None:
-            sensor = self._sensors[name] = _Sensor(stamp, self._order)
+            sensor = self._sensors[name] = _Sensor(stamp, self._order, self._order)
             if others is None or stamp <= others + self._threshold:
                 return self._go_on(sensor, measurement, others)
             # Nobody knows what is usual for it: where it goes back to is as good.
@@ -313,6 +314,7 @@ class JumpFilter:
         group = {name: sensor}
         last, forwards = sensor.held[-1].stamp, sensor.held[-1].stamp > sensor.newest
         top = max((item.newest for item in self._sensors.values()), default=last)
+        staying = 0
         for other, item in self._sensors.items():
             if item is sensor:
                 continue
@@ -322,9 +324,17 @@ class JumpFilter:
                 continue
             if item.away or top - item.newest - max(item.lag, 0) > item.patience:
                 continue  # elsewhere, or silent since long before
+            there = abs(item.newest - last) <= AGREEMENT
+            if there and item.begun > sensor.heard:
+                continue  # began there, when this one had left its time already
             after = next((it.stamp for it in sensor.held if it.order > item.heard), last)
             if last - after <= item.patience:
-                return None
+                if there:
+                    return None
+                staying += 1
+        # Where nobody can measure the steps the larger part is right, or all would be left out.
+        if staying and (staying >= len(group) or not all(item.alone for item in group.values())):
+            return None
         # What is on its way when the clock went back still belongs to the time before.
         if self._clock_jumped and not forwards:
             return group
@@ -343,8 +353,8 @@ class JumpFilter:
             return
         live = [
             other
-            for other, before in sensor.away_since.items()
-            if other != name and self._sensors[other].went_on >= before + ALONE
+            for other, item in self._sensors.items()
+            if other != name and item.went_on >= sensor.away_since.get(other, 0) + ALONE
         ]
         # Messages of the time before are on their way for a moment.
         if not live or (sensor.held and stamp - sensor.held[0].stamp < NANOSECONDS):

@@ -7,7 +7,7 @@ from driven_room import STEP, assert_close, front_end, poses, room, scan, seen_f
 
 from incremental_mapper.frontend.front_end import FrontEnd, PreparedFix
 from incremental_mapper.frontend.lidar_odometry import PreparedScan
-from incremental_mapper.measurements import FixStatus, GnssFix
+from incremental_mapper.measurements import FixStatus, GnssFix, ImuSample
 from incremental_mapper.settings import make_config
 
 
@@ -87,3 +87,18 @@ def test_of_dozens_of_fixes_in_one_window_those_are_used_that_a_receiver_can_mea
     found = end.prepare(fixes)
     assert [item.core.stamp for item in found] == [one.stamp for one in fixes[::5]]
     assert end.drops == {('gps', 'too_dense'): 40}
+
+
+def test_scans_and_samples_of_no_time_leave_no_trace():
+    """They were stamped an hour ahead, and begun before that was known."""
+    drive = [(scan(t, seen_from(pose, room()))) for t, pose in zip((0, 0.1), poses(2), strict=True)]
+    expected = front_end().prepare(tuple(drive))
+    end = front_end()
+    for t in (3600.0, 3600.1):
+        end.imu(ImuSample(stamp(t), 'imu', np.array([0.0, 0.0, 9.0]), np.zeros(3)))
+        end.begin(scan(t, room(seed=7)))
+    end.restart()
+    found = end.prepare(tuple(drive))
+    assert [item.previous for item in found] == [None, stamp(0)]
+    assert_close(found[1].T_previous_current, expected[1].T_previous_current, 1e-6, 1e-7)
+    assert not end.drops and not end.notes

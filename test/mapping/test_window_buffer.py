@@ -519,3 +519,70 @@ def test_strays_all_over_among_the_first_messages_do_not_tell_the_time():
     strays = [measurement('imu', at) for at in (-(10**9), -5 * 10**8, -30_000, 3_600_000, 60_000)]
     given = [drive[0], *strays, *drive[1:3], *strays[::-1], *drive[3:]]
     assert contents(run(buffer(), given)) == expected
+
+
+def ahead_for(milliseconds, drive, sensors=SENSORS, by=3_600_000):
+    """A drive whose sensors are ``by`` ahead for the first while (ms), and what is not."""
+    made = [
+        measurement(m.sensor, (m.stamp - EPOCH) // MS + by)
+        if m.sensor in sensors and m.stamp < EPOCH + milliseconds * MS
+        else m
+        for m in drive
+    ]
+    return made, [m for m, before in zip(made, drive, strict=True) if m is before]
+
+
+@pytest.mark.parametrize('by', [60_000, 3_600_000, 10**11])
+@pytest.mark.parametrize(
+    ('milliseconds', 'sensors'),
+    [(60, ('imu',)), (200, ('imu',)), (60, SENSORS), (300, ('imu', 'left'))],
+)
+def test_first_stamps_that_all_later_ones_contradict_do_not_tell_the_time(
+    milliseconds, sensors, by
+):
+    given, sound = ahead_for(milliseconds, steady(3000), sensors, by)
+    sink = buffer()
+    assert contents(run(sink, given)) == contents(run(buffer(), sound))
+    strays = Counter((m.sensor, 'stamp_leap') for m in given if not any(m is s for s in sound))
+    assert sink.drops == strays
+
+
+def test_strays_of_one_time_between_sound_ones_from_the_first_on_do_not_tell_it():
+    """Never eight sound ones in a row, but far more of them."""
+    drive = steady(3000)
+    strays = [measurement('imu', 3_600_000 + 10 * t) for t in range(len(drive) // 4)]
+    given = strays[:6]
+    for number, item in enumerate(drive):
+        given.append(item)
+        if number % 5 == 4 and number < 200:
+            given.append(strays[6 + number // 5])
+    sink = buffer()
+    windows = run(sink, given)
+    assert sum(len(window.core) for window in windows) == sum(m.sensor != 'imu' for m in drive)
+    assert max(window.end for window in windows) < EPOCH + 4000 * MS
+    assert counted(windows) == len(drive)
+
+
+def test_what_was_told_before_a_first_time_is_given_up_is_taken_back():
+    told = []
+    given, sound = ahead_for(70, steady(2000))
+    sink = WindowBuffer(
+        WindowSettings(),
+        SENSORS,
+        True,
+        begin=told.append,
+        sample=told.append,
+        restart=told.clear,
+    )
+    windows = run(sink, given)
+    out = [item for window in windows for item in (*window.core, *window.imu)]
+    assert {id(item) for item in told} == {id(item) for item in out} == {id(m) for m in sound}
+
+
+def test_a_few_in_a_row_far_behind_the_first_ones_prove_nothing():
+    drive = steady(3000)
+    expected = contents(run(buffer(), drive))
+    sink = buffer()
+    strays = [measurement('imu', 10 * t - 3_600_000) for t in range(LEAP_WITNESSES - 1)]
+    assert contents(run(sink, [*drive[:12], *strays, *drive[12:]])) == expected
+    assert sink.drops == {('imu', 'stamp_leap'): len(strays)}

@@ -423,3 +423,44 @@ def test_a_sensor_whose_first_stamps_were_strays_is_not_left_out_for_ever(leap):
     lost = {id(item) for item in late} - {id(item) for item in passed}
     assert len(lost) < 0.05 * len(late)
     assert balanced(jumps, sent, passed)
+
+
+@pytest.mark.parametrize('ahead', [60 * SECOND, HOUR, 5 * YEAR])
+@pytest.mark.parametrize('first', [0.1, 0.5, 0.9])
+def test_a_drive_whose_first_stamps_are_far_ahead_begins_anew_though_a_sensor_came_later(
+    ahead, first
+):
+    """The fixes begin when the others' stamps are right already, or not yet."""
+    sent = drive(8, start=50 * YEAR, change=lambda _, at: ahead if at < first else 0)
+    sound = [item for item in sent if item.stamp < 50 * YEAR + 10 * SECOND]
+    jumps = JumpFilter(TimeJumpSettings())
+    passed, begun = feed(jumps, sent)
+    assert len(begun) == 1
+    new = {id(item) for item in passed[begun[0] :]}
+    assert sum(id(item) in new for item in sound) >= len(sound) - 2
+    assert balanced(jumps, sent, passed)
+
+
+@pytest.mark.parametrize('behind', [40 * SECOND, HOUR, 50 * YEAR - 12 * SECOND])
+def test_one_slow_sensor_that_stays_in_another_time_does_not_leave_out_all_others(behind):
+    """All began in it, too short a time to tell the others' periods."""
+    start = 50 * YEAR
+    sent = drive(
+        9, start=start, change=lambda name, at: -behind if name == 'gnss' or at < 0.5 else 0
+    )
+    jumps = JumpFilter(TimeJumpSettings())
+    passed, begun = feed(jumps, sent)
+    sound = {id(item) for item in sent if item.stamp >= start}
+    new = {id(item) for item in passed[begun[-1] :]} if begun else {id(item) for item in passed}
+    assert len(sound & new) > 0.6 * len(sound)
+
+
+def test_sensors_whose_first_stamps_were_of_another_time_come_back_without_a_new_map():
+    """The IMU had the time from the beginning."""
+    sent = drive(
+        6,
+        start=50 * YEAR,
+        change=lambda name, at: -49 * YEAR if name in ('left', 'right') and at < 0.3 else 0,
+    )
+    passed, begun = feed(JumpFilter(TimeJumpSettings()), sent)
+    assert not begun and len(passed) > 0.9 * len(sent)
