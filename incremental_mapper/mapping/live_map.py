@@ -22,7 +22,7 @@ from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.mapping.result import MapResult
 from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.smoothing.graph_state import GraphState, PlacedScan
-from incremental_mapper.variables import cluster_of
+from incremental_mapper.variables import cluster_of, kind_of
 
 _FULLEST = 65_536.0
 """Points after which a voxel takes no more; its sums stay exact to a fraction of a millimetre."""
@@ -263,8 +263,8 @@ def graph_view(state: GraphState, span: float) -> GraphView:
     place = {item.id: state.pose(item.id).translation() for item in shown}
     edges: dict[str, list[NDArray[np.float64]]] = {}
     priors: list[NDArray[np.float64]] = []
-    for factor, ends in _recent_factors(state, first):
-        points = [place[end] for end in ends if end in place]
+    for factor in _recent_factors(state, first):
+        points = [place[end] for end in drawn_ends(factor.keys) if end in place]
         if factor.kind is FactorKind.GNSS:
             points.append(np.array(factor.data['position']))
         if len(points) == 2:
@@ -280,14 +280,21 @@ def graph_view(state: GraphState, span: float) -> GraphView:
     )
 
 
-def _recent_factors(state: GraphState, first: int) -> Iterable[tuple[Factor, list[int]]]:
-    """Factors of clusters from number ``first`` on, newest first, with their clusters."""
+def _recent_factors(state: GraphState, first: int) -> Iterable[Factor]:
+    """Factors of clusters from number ``first`` on, newest first."""
     for factor in reversed(state.factors):
-        ends = sorted({cluster_of(key) for key in factor.keys})
         # Factors are appended with their newest cluster, window by window.
-        if ends[-1] < first:
+        if max(cluster_of(key) for key in factor.keys) < first:
             return
-        yield factor, ends
+        yield factor
+
+
+def drawn_ends(keys: Iterable[int]) -> list[int]:
+    """Numbers of the clusters that a drawn factor leads to, ascending.
+
+    A bias has no place: it may be that of a cluster whose spans were long ago.
+    """
+    return sorted({cluster_of(key) for key in keys if kind_of(key) != 'b'})
 
 
 def _table(points: list[NDArray[np.float64]]) -> NDArray[np.float64]:

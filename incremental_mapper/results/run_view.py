@@ -201,13 +201,14 @@ def _by_cluster(graph: Mapping[str, Any]) -> dict[int, list[Mapping[str, Any]]]:
     """Factors by the newest of their clusters."""
     found: dict[int, list[Mapping[str, Any]]] = {}
     for factor in graph['factors']:
-        found.setdefault(_ends(factor)[-1], []).append(factor)
+        newest = max(int(key[1:]) for key in factor['variables'])
+        found.setdefault(newest, []).append(factor)
     return found
 
 
 def _ends(factor: Mapping[str, Any]) -> list[int]:
-    """Numbers of a factor's clusters, ascending."""
-    return sorted({int(key[1:]) for key in factor['variables']})
+    """Numbers of the clusters that a factor leads to, ascending; a bias has no place."""
+    return sorted({int(key[1:]) for key in factor['variables'] if key[0] != 'b'})
 
 
 def _points_by_window(run: FinishedRun) -> dict[int, NDArray[np.float32]]:

@@ -10,6 +10,15 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+LOOSE = {
+    'bridge': 'bridge',
+    'dead_reckoning': 'dead reckoning',
+    'continuity_velocity': 'velocity goes on',
+    'continuity_bias': 'bias walks',
+}
+"""What grey factors are."""
+
+
 def graph_legend(graphs: Sequence[Record], theme: Theme) -> list[tuple[str, str, str, str]]:
     """What pictures of some graphs show.
 
@@ -27,8 +36,8 @@ def graph_legend(graphs: Sequence[Record], theme: Theme) -> list[tuple[str, str,
     factors += [('IMU', theme.orange)] if 'imu' in kinds else []
     factors += [('GNSS', theme.green)] if 'gnss' in kinds else []
     factors += [('prior', theme.ink)] if any(kind.startswith('prior') for kind in kinds) else []
-    loose = [name for name in ('bridge', 'dead_reckoning') if name in kinds]
-    factors += [(name.replace('_', ' '), theme.grey) for name in loose]
+    loose = [label for name, label in LOOSE.items() if name in kinds]
+    factors += [(', '.join(loose), theme.grey)] if loose else []
     factors += [('closure', theme.unconnected_edge)] if 'closure' in kinds else []
     nodes = [('variable', 'node', theme.node, theme.ink)]
     if any(unconnected_variables(graph) for graph in graphs):

@@ -42,6 +42,8 @@ ROW_NAMES = {'pose': 'X  pose', 'velocity': 'V  velocity', 'bias': 'B  bias'}
 FIRST_SENSOR_ROW = -3.5
 SENSOR_ROW_STEP = 0.55
 LOWEST_ARC, ARC_STEP = 0.75, 0.62
+BIAS_RAIL = 0.3
+"""How far above a bias the line runs that leads to the spans which share it."""
 FACTOR_SIZE = 9
 """Side of a factor's square in pixels."""
 SMALLEST_LABELLED_NODE = 14
@@ -274,8 +276,7 @@ def _draw_factors(canvas: _Canvas, graph: Record, shown: set[int]) -> int:
             # Its other end lies minutes away: it leaves the picture.
             _draw_arc(canvas, spots, canvas.theme.unconnected_edge, max(above.values(), default=0))
         elif kind == 'imu':
-            hub = ((min(x for x, _ in spots) + max(x for x, _ in spots)) / 2, ROWS['velocity'])
-            _draw_star(canvas, hub, spots, canvas.theme.orange)
+            _draw_span(canvas, keys, spots)
         elif kind == 'gnss':
             # Several fixes of one pose stand side by side.
             shift = fixes[keys[0]] * FACTOR_SIZE * 1.3 * canvas.pixel
@@ -303,6 +304,23 @@ def _draw_arc(canvas: _Canvas, spots: Sequence[Spot], colour: str, height: float
         PathPatch(curve, facecolor='none', edgecolor=colour, linewidth=1.6, zorder=2)
     )
     _draw_square(canvas, ((x0 + x1) / 2, (y0 + y1) / 2 + height), colour)
+
+
+def _draw_span(canvas: _Canvas, keys: Sequence[str], spots: Sequence[Spot]) -> None:
+    """An IMU span, with a line along the row of biases where it shares one with others."""
+    ends = [spot for key, spot in zip(keys, spots, strict=True) if key[0] != 'b']
+    biases = [spot for key, spot in zip(keys, spots, strict=True) if key[0] == 'b']
+    places = [x for x, _ in ends]
+    hub = ((min(places) + max(places)) / 2, ROWS['velocity'])
+    shared = len(biases) == 1
+    if shared:
+        (x, y) = biases[0]
+        rail = y + BIAS_RAIL
+        canvas.axes.plot(
+            [hub[0], hub[0], x, x], [hub[1], rail, rail, y], color=canvas.theme.orange,
+            linewidth=1.1, alpha=0.8, zorder=2,
+        )  # fmt: skip
+    _draw_star(canvas, hub, ends if shared else spots, canvas.theme.orange)
 
 
 def _draw_star(canvas: _Canvas, centre: Spot, spots: Sequence[Spot], colour: str) -> None:

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from incremental_mapper.datasets.open import open_source
+from incremental_mapper.graph.factors import FactorKind
 from incremental_mapper.map.cloud import accumulate
 from incremental_mapper.mapping import live_map
 from incremental_mapper.mapping.georeferencing import turn_values
@@ -12,6 +13,7 @@ from incremental_mapper.mapping.live_map import LiveMap
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.results.offline_run import effective_config
 from incremental_mapper.smoothing.correction import Evidence
+from incremental_mapper.variables import cluster_of
 
 SECOND = 1_000_000_000
 
@@ -110,6 +112,15 @@ def test_graph_view_holds_the_asked_span_only(followed):
     assert len(view.poses) == len(within) < len(mapper.state.clusters)
     assert view.edges['odometry'].shape[1:] == (2, 3)
     assert len(live.graph(60.0).poses) == len(mapper.state.clusters)
+
+
+def test_graph_view_shows_every_span_wherever_its_bias_is(followed):
+    mapper, live = followed
+    spans = [factor for factor in mapper.state.factors if factor.kind is FactorKind.IMU]
+    assert any(len({cluster_of(key) for key in factor.keys}) == 3 for factor in spans)
+    edges = live.graph(60.0).edges
+    assert len(edges['imu']) == len(spans)
+    assert FactorKind.BIAS_RANDOM_WALK not in edges
 
 
 def test_closed_loops_move_path_and_map_a_part_at_a_time(followed, monkeypatch):

@@ -59,6 +59,13 @@ def test_every_fix_is_shown_once_with_its_ellipsoid(run, recording):
     assert np.min(column(recording, '/map/fixes', ':half_sizes')[0]) > 0.0
 
 
+def test_spans_are_shown_wherever_their_bias_is(run, recording):
+    (place,) = (name for name in recording if name.endswith('/imu'))
+    strips = [len(row) for row in column(recording, place, ':strips')]
+    known = [one for one in FinishedRun(run).graph['factors'] if one['kind'] == 'imu']
+    assert known and max(strips) <= len(known) <= sum(strips)
+
+
 def test_way_ends_where_the_trajectory_does(run, recording):
     way = column(recording, '/map/path', ':strips')[-1][0]
     assert np.abs(np.array(way[-1]) - FinishedRun(run).trajectory.positions[-1]).max() < 1e-3
