@@ -259,6 +259,9 @@ class Mapper:
         Args:
             most: Where loops are closed while the map grows: pairs of places that are compared now
                 at the most, beyond those that were compared already.
+
+        Returns:
+            Clusters, factors, values, trajectory, map and statistics.
         """
         values, failed = final_values(self._state, self.config)
         self._totals.solver_failures += int(failed)

@@ -29,7 +29,7 @@ def start(*words):
         [*COMMAND, *map(str, words)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
     line = process.stderr.readline()
-    while line and 'no time of the points' not in line:
+    while line and 'LiDAR' not in line:
         line = process.stderr.readline()
     return process
 

@@ -34,7 +34,8 @@ LEFT, RIGHT, IMU, FIX = '/points_left', '/points_right', '/imu', '/fix'
 
 
 def points_of(message):
-    return np.frombuffer(message.data, dtype='<f4').reshape(-1, 4)[:, :3]
+    numbers = message.point_step // 4
+    return np.frombuffer(message.data, dtype='<f4').reshape(-1, numbers)[:, :3]
 
 
 def repack(message, table, rows=1, padding=0, big_endian=False):

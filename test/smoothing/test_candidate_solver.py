@@ -50,7 +50,8 @@ def optimum(problem, candidate, state):
 def test_candidates_have_the_optimum_and_the_error_that_the_batch_gives_them():
     state = known_state(sigma=0.05)
     # The fix says that the car was elsewhere: the solution is a compromise.
-    config = car_settings(odometry={'sigma_translation': 0.05, 'sigma_rotation': 0.005})
+    odometry = {'sigma_translation': 0.05, 'sigma_rotation': 0.005}
+    config = car_settings(odometry=odometry, graph={'dead_reckoning': False})
     problem = problem_of(WINDOW, state, config)
     (seen,) = [item for item in problem.inputs.prepared.values() if item.core.kind == 'gnss']
     seen.enu[:] += [0.1, -0.15, 0.05]
