@@ -33,9 +33,13 @@ from incremental_mapper.settings import make_config
 LEFT, RIGHT, IMU, FIX = '/points_left', '/points_right', '/imu', '/fix'
 
 
-def points_of(message):
-    numbers = message.point_step // 4
-    return np.frombuffer(message.data, dtype='<f4').reshape(-1, numbers)[:, :3]
+def columns_of(message):
+    """x, y, z of the points, and their time where they have one."""
+    names = [field.name for field in message.fields]
+    numbers = np.frombuffer(message.data, dtype='<f4').reshape(-1, len(names))
+    return {
+        name: numbers[:, names.index(name)] for name in ('x', 'y', 'z', 'time') if name in names
+    }
 
 
 def repack(message, table, rows=1, padding=0, big_endian=False):
@@ -64,27 +68,28 @@ def repack(message, table, rows=1, padding=0, big_endian=False):
 
 def big_endian_in_padded_rows(message):
     """Two rows with rests behind them; a NaN point where the number is odd."""
-    points = points_of(message)
-    table = np.zeros(len(points) + len(points) % 2, dtype=[(n, '>f4') for n in 'xyz'])
-    for column, name in enumerate('xyz'):
+    columns = columns_of(message)
+    count = len(columns['x'])
+    table = np.zeros(count + count % 2, dtype=[(name, '>f4') for name in columns])
+    for name, values in columns.items():
         table[name] = np.nan
-        table[name][: len(points)] = points[:, column]
+        table[name][:count] = values
     return repack(message, table, rows=2, padding=5, big_endian=True)
 
 
 def unordered_with_rests_and_nan(message):
     """Fields in another order, a foreign one between, double z, and points that are no numbers."""
-    points = points_of(message)
+    columns = columns_of(message)
     layout = {
-        'names': ['z', 'ring', 'x', 'y'],
-        'formats': ['<f8', '<u2', '<f4', '<f4'],
-        'offsets': [0, 9, 12, 18],
+        'names': ['z', 'ring', 'x', 'y', *(['time'] if 'time' in columns else [])],
+        'formats': ['<f8', '<u2', '<f4', '<f4', '<f4'][: len(columns) + 1],
+        'offsets': [0, 9, 12, 18, 22][: len(columns) + 1],
         'itemsize': 26,
     }
-    table = np.zeros(2 * len(points), dtype=layout)
-    for column, name in enumerate('xyz'):
-        table[name][::2] = points[:, column]
-        table[name][1::2] = [np.nan, np.inf, 0.0][column]
+    table = np.zeros(2 * len(columns['x']), dtype=layout)
+    for (name, values), other in zip(columns.items(), (np.nan, np.inf, 0.0, 0.0), strict=False):
+        table[name][::2] = values
+        table[name][1::2] = other
     return repack(message, table)
 
 
