@@ -15,9 +15,9 @@ from lies.recording import (
     Item,
     Recording,
     cloud_of,
+    in_sectors,
     points_of,
     reframed,
-    restamped,
     stamp_of,
     table,
     times_of,
@@ -229,16 +229,7 @@ def empty_clouds(drive: Recording, folder: Path) -> Path:
 )
 def sectors(drive: Recording, folder: Path) -> Path:
     """Both LiDARs send an eighth of a turn at a time, 80 Hz."""
-    items: list[Item] = []
-    for logged, topic, message in drive.items:
-        if topic not in LIDARS:
-            items.append((logged, topic, message))
-            continue
-        points = points_of(message)
-        for number, part in enumerate(np.array_split(points, 8)):
-            at = stamp_of(message) - (7 - number) * 12_500_000
-            items.append((at, topic, restamped(cloud_of(message, table(part)), at)))
-    return drive.with_items(items).write(folder / 'bag')
+    return in_sectors(drive, 8).write(folder / 'bag')
 
 
 @lie(

@@ -14,9 +14,9 @@ from lies.recording import (
     FIX,
     IMU,
     LIDARS,
-    Item,
     Recording,
     cloud_of,
+    in_sectors,
     numbers,
     points_of,
     reframed,
@@ -188,15 +188,7 @@ def wide_points(drive: Recording, folder: Path) -> Path:
 @lie(MENDED, WARNED, REFUSED, about=r'sector|partial|sweep|turn')
 def half_turns(drive: Recording, folder: Path) -> Path:
     """Both LiDARs send half a turn at a time, 20 Hz."""
-    items: list[Item] = []
-    for logged, topic, message in drive.items:
-        if topic not in LIDARS:
-            items.append((logged, topic, message))
-            continue
-        for number, part in enumerate(np.array_split(points_of(message), 2)):
-            at = stamp_of(message) - (1 - number) * 50_000_000
-            items.append((at, topic, restamped(cloud_of(message, table(part)), at)))
-    return drive.with_items(items).write(folder / 'bag')
+    return in_sectors(drive, 2).write(folder / 'bag')
 
 
 def _scaled(drive: Recording, rates: float = 1.0, forces: float = 1.0) -> Recording:

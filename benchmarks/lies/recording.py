@@ -390,3 +390,20 @@ def _with_fixes(recording: Recording, rate: int) -> Recording:
             at = logged + round(share * (later - logged))
             made.append((at, FIX, restamped(between, moment)))
     return recording.plus(made)
+
+
+def in_sectors(drive: Recording, count: int) -> Recording:
+    """The same with each sweep of 0.1 s in so many clouds, one after the other.
+
+    The last has the stamp of the sweep, and each is recorded at its stamp.
+    """
+    apart = round(TURN * NANOSECONDS / count)
+    items: list[Item] = []
+    for logged, topic, message in drive.items:
+        if topic not in LIDARS:
+            items.append((logged, topic, message))
+            continue
+        for number, part in enumerate(np.array_split(points_of(message), count)):
+            at = stamp_of(message) - (count - 1 - number) * apart
+            items.append((at, topic, restamped(cloud_of(message, table(part)), at)))
+    return drive.with_items(items)

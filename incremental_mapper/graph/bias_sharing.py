@@ -46,6 +46,10 @@ class BiasSharing:
             return self.kept
         return number(candidate.clusters[candidate.connections[0].end])
 
+    def new_home(self, candidate: Candidate, number: Callable[[Cluster], int]) -> int | None:
+        """As ``home``, where that bias is a new one; None where no shared one starts."""
+        return self.home(candidate, number) if self.use is SpanBias.NEW else None
+
 
 def sharing(frontier: Frontier, stamp: int, graph: GraphSettings, strategy: str) -> BiasSharing:
     """Decide how the spans of a window get their bias.

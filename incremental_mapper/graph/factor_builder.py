@@ -136,8 +136,9 @@ class FactorBuilder:
             made.extend(self._imu(candidate, link.start, link.end, home))
             made.extend(self._passed(candidate, link))
         made.extend(self._chain_starts(candidate, links))
-        if home is not None and home != self._in.bias.kept and candidate.connections[0] in links:
-            made.append(self._new_bias(home, candidate.connections[0].start_stamp))
+        new = self._in.bias.new_home(candidate, self._partitions.number)
+        if new is not None and candidate.connections[0] in links:
+            made.append(self._new_bias(new, candidate.connections[0].start_stamp))
         if self._in.frontier.newest is None and since == 0:
             first = candidate.clusters[0]
             made.append(self._first_prior(first))

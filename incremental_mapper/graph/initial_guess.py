@@ -77,9 +77,9 @@ class InitialGuess:
             head = self._frontier.head
             assert head is not None
             self._add_inertial(head, self._head_state, values)
-        home = self._bias.home(candidate, self._partitions.number)
-        if home is not None and home != self._bias.kept and not values.exists(bias_key(home)):
-            insert_bias(values, bias_key(home), self._head_state.bias)
+        new = self._bias.new_home(candidate, self._partitions.number)
+        if new is not None and not values.exists(bias_key(new)):
+            insert_bias(values, bias_key(new), self._head_state.bias)
 
     def _add_inertial(self, cluster: int, state: State, values: gtsam.Values) -> None:
         if not values.exists(velocity_key(cluster)):

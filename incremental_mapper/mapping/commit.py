@@ -79,11 +79,11 @@ def commit(state: GraphState, window: int, choice: Choice, problem: WindowProble
         state.define_enu(problem.inputs.enu_offset)
     state.add_clusters(placed, scans, fixes)
     state.add_factors(made, prior)
-    home = problem.inputs.bias.home(candidate, problem.partitions.number)
+    home = problem.inputs.bias.new_home(candidate, problem.partitions.number)
     frontier = _next_frontier(state, placed, problem, choice.consecutive)
     if not problem.inputs.bias.shared:
         frontier = replace(frontier, bias=frontier.inertial, bias_stamp=frontier.inertial_stamp)
-    elif home is not None and home != problem.inputs.bias.kept:
+    elif home is not None:
         frontier = replace(
             frontier,
             bias=cluster_of(final[bias_key(home)]),
