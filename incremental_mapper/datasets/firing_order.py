@@ -71,7 +71,7 @@ class TimedScans:
         return times
 
     def _end(
-        self, index: int, azimuths: NDArray[np.float64], turned: NDArray[np.float64]
+        self, index: int, azimuths: NDArray[np.floating], turned: NDArray[np.float64]
     ) -> float | None:
         """Azimuth at the end of a sweep, radians."""
         if turned[-1] > WHOLE:
@@ -99,16 +99,19 @@ class TimedScans:
 
 def _turned(
     points: Points,
-) -> tuple[NDArray[np.bool_], NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[NDArray[np.bool_], NDArray[np.floating], NDArray[np.float64]]:
     """Which points have a direction; their azimuths; how far the head had turned at each.
 
     All radians; the last two are empty where the points are in another order.
     """
-    told = np.asarray(np.isfinite(points).all(axis=1) & points[:, :2].any(axis=1))
-    x, y = points[told, :2].astype(np.float64).T
-    azimuths: NDArray[np.float64] = np.arctan2(y, x)
-    steps = (azimuths[:-1] - azimuths[1:] + BACKWARDS) % FULL_TURN - BACKWARDS
-    turned = np.append(np.zeros(min(len(azimuths), 1)), np.cumsum(steps))
+    x, y, z = points.T
+    with np.errstate(over='ignore', invalid='ignore'):
+        told = np.isfinite(x + y + z) & ((x != 0.0) | (y != 0.0))
+    azimuths = np.arctan2(y[told], x[told])
+    steps = azimuths[:-1] - azimuths[1:]
+    steps += FULL_TURN * (steps < -BACKWARDS)
+    steps -= FULL_TURN * (steps >= FULL_TURN - BACKWARDS)
+    turned = np.append(np.zeros(min(len(azimuths), 1)), np.cumsum(steps, dtype=np.float64))
     if len(turned) < 2 or turned[-1] > LONGEST:
         return told, np.zeros(0), np.zeros(0)
     return told, azimuths, turned

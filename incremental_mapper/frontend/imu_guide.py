@@ -55,9 +55,9 @@ class Momentum:
     def carried(self, leap: Leap) -> 'Momentum':
         """The same at the end of a leap, in the axes there."""
         passed, back = leap.seconds, leap.rotation.T
-        step = np.eye(6)
-        step[:3, 3:] = passed * np.eye(3)
-        step = np.kron(np.eye(2), back) @ step
+        step = np.zeros((6, 6))
+        step[:3, :3] = step[3:, 3:] = back
+        step[:3, 3:] = passed * back
         noise = np.repeat([(FORCE_NOISE * passed) ** 2, GRAVITY_WALK**2 * abs(passed)], 3)
         return Momentum(
             back @ (self.velocity + self.gravity * passed + leap.velocity),

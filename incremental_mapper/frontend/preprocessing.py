@@ -3,7 +3,7 @@
 Coordinates are kept in rows, (3, N): NumPy works several times as fast along them.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import gtsam
@@ -19,7 +19,8 @@ class Sweep:
     """A thinned scan in base_link; each point is where it was seen when it was fired.
 
     ``rows`` (3, N) are x, y, z in metres; ``times`` (N,) are seconds after the stamp, None where
-    they are not known or not wanted; ``intensities`` (N,), None where there are none.
+    they are not known or not wanted; ``intensities`` (N,), None where there are none. ``middle``
+    are seconds from the stamp to the middle of the sweep, 0 without times.
     """
 
     stamp: int
@@ -27,14 +28,15 @@ class Sweep:
     rows: NDArray[np.float64]
     times: NDArray[np.float64] | None = None
     intensities: NDArray[np.float64] | None = None
+    middle: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        times = self.times
+        middle = 0.0 if times is None or len(self) == 0 else float(times.mean())
+        object.__setattr__(self, 'middle', middle)  # asked for a dozen times a scan
 
     def __len__(self) -> int:
         return int(self.rows.shape[1])
-
-    @property
-    def middle(self) -> float:
-        """Seconds from the stamp to the middle of the sweep; 0 without times."""
-        return 0.0 if self.times is None or len(self) == 0 else float(self.times.mean())
 
 
 class BodyMotion(Protocol):

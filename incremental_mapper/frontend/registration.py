@@ -1,8 +1,7 @@
 """Scan matching between consecutive scans of one LiDAR, behind one protocol."""
 
-from collections import deque
 from dataclasses import dataclass
-from typing import Protocol, TypeAlias
+from typing import Protocol
 
 import gtsam
 import numpy as np
@@ -10,21 +9,15 @@ import small_gicp
 from numpy.typing import NDArray
 
 from incremental_mapper.config import OdometryMethod, OdometrySettings
-from incremental_mapper.frontend.gap_matching import ScanCloud, match_over_gap
+from incremental_mapper.frontend.gap_matching import match_over_gap
+from incremental_mapper.frontend.local_map import LocalMap, near, scan_cloud
 from incremental_mapper.frontend.match_noise import match_covariance
-from incremental_mapper.geometry import transform_points
-from incremental_mapper.voxels import thin
 
-NEIGHBOURS = 10
-"""Points of which gicp takes the covariance; 8 or 14 give worse motions on two tilted VLP-16."""
 ROTATION_STEP, TRANSLATION_STEP = 0.01, 0.03
 """Gicp stops after a step that is smaller, in rad and m. Steps shrink several times from one to
 the next, so what is left is far below the noise of a match. Where the motion is steady, the first
 step is the last; bounds a third as large take half as many steps again and
 match no better."""
-
-
-Clouds: TypeAlias = list[NDArray[np.float64]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,91 +95,51 @@ class GicpMatcher:
 
     def __init__(self, settings: OdometrySettings) -> None:
         self._settings = settings
-        self._recent: deque[tuple[small_gicp.PointCloud, small_gicp.KdTree]] = deque(maxlen=1)
-        # Points of the last scans, each in the newest scan's frame.
-        self._window: deque[NDArray[np.float64]] = deque(maxlen=settings.local_map_scans)
-        self._before: tuple[list[tuple[small_gicp.PointCloud, small_gicp.KdTree]], Clouds] = (
-            [],
-            [],
-        )
+        self._map: LocalMap | None = None
+        self._before: LocalMap | None = None
 
     def match(self, points: NDArray[np.float64], guess: gtsam.Pose3) -> Match | None:
         """See ScanMatcher."""
-        settings = self._settings
-        self._before = [*self._recent], [*self._window]
-        cloud, tree = self._with_covariances(self._near(points))
-        match: Match | None = None
-        if self._recent:
-            target, target_tree = self._target()
-            result = small_gicp.align(
-                target,
-                cloud,
-                target_tree,
-                init_T_target_source=guess.matrix(),
-                registration_type='GICP',
-                max_correspondence_distance=settings.max_correspondence,
-                max_iterations=30,
-                rotation_epsilon=ROTATION_STEP,
-                translation_epsilon=TRANSLATION_STEP,
-            )
-            motion = np.asarray(result.T_target_source)
-            finite = bool(np.isfinite(motion).all())
-            pose = gtsam.Pose3(motion) if finite else guess
-            overlap = result.num_inliers / max(cloud.size(), 1) if finite else 0.0
-            match = Match(
-                pose, overlap, match_covariance(result, cloud, settings) if finite else None
-            )
-            back = pose.inverse().matrix()
-            for i, older in enumerate(self._window):
-                self._window[i] = transform_points(back, older)
-        self._recent.append((cloud, tree))
-        if settings.local_map_scans > 1:
-            self._window.append(cloud.points()[:, :3])
-        return match
+        settings, local = self._settings, self._map
+        self._before = local
+        scan = scan_cloud(near(points, settings), settings)
+        if local is None:
+            self._map = LocalMap.of_scan(scan)
+            return None
+        result = small_gicp.align(
+            local.target.cloud,
+            scan.cloud,
+            local.target.tree,
+            init_T_target_source=(local.T_map_newest * guess).matrix(),
+            registration_type='GICP',
+            max_correspondence_distance=settings.max_correspondence,
+            max_iterations=30,
+            rotation_epsilon=ROTATION_STEP,
+            translation_epsilon=TRANSLATION_STEP,
+        )
+        matrix = np.asarray(result.T_target_source)
+        finite = bool(np.isfinite(matrix).all())
+        pose = local.T_map_newest.between(gtsam.Pose3(matrix)) if finite else guess
+        self._map = local.with_scan(scan, pose, settings)
+        overlap = result.num_inliers / max(scan.cloud.size(), 1) if finite else 0.0
+        noise = match_covariance(result, scan.cloud, settings) if finite else None
+        return Match(pose, overlap, noise)
 
     def undo(self) -> bool:
         """See ScanMatcher."""
-        recent, window = self._before
-        self._recent.clear()
-        self._recent.extend(recent)
-        self._window.clear()
-        self._window.extend(window)
+        self._map = self._before
         return True
 
     def match_over_gap(self, points: NDArray[np.float64], guess: gtsam.Pose3) -> Match | None:
         """See ScanMatcher."""
-        cloud, tree = self._with_covariances(self._near(points))
-        before = ScanCloud(*self._recent[0])
-        found = match_over_gap(before, ScanCloud(cloud, tree), guess, self._settings)
+        scan = scan_cloud(near(points, self._settings), self._settings)
+        assert self._map is not None
+        found = match_over_gap(self._map.newest, scan, guess, self._settings)
         if found is None:
             return None
-        self._recent.append((cloud, tree))
         # What was near seconds ago is hardly seen any more.
-        self._window.clear()
-        if self._settings.local_map_scans > 1:
-            self._window.append(cloud.points()[:, :3])
+        self._map = LocalMap.of_scan(scan)
         return Match(*found)
-
-    def _near(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The points (N, 3) that are near enough; all of them where those are too few."""
-        settings = self._settings
-        near = np.flatnonzero(points[:, 0] ** 2 + points[:, 1] ** 2 < settings.match_range**2)
-        if len(near) < settings.min_points:
-            return points
-        return points.T.take(near, axis=1).T  # along the rows, as clouds are kept
-
-    def _target(self) -> tuple[small_gicp.PointCloud, small_gicp.KdTree]:
-        if self._settings.local_map_scans == 1:
-            return self._recent[0]
-        return self._with_covariances(np.vstack(self._window))
-
-    def _with_covariances(
-        self, points: NDArray[np.float64]
-    ) -> tuple[small_gicp.PointCloud, small_gicp.KdTree]:
-        cloud = small_gicp.PointCloud(thin(points, self._settings.voxel_size))
-        tree = small_gicp.KdTree(cloud)
-        small_gicp.estimate_covariances(cloud, tree, num_neighbors=NEIGHBOURS)
-        return cloud, tree
 
 
 def make_matcher(settings: OdometrySettings) -> ScanMatcher:

@@ -6,13 +6,13 @@ from dataclasses import replace
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from incremental_mapper.config import Config
 from incremental_mapper.frontend.front_end import Prepared, PreparedFix
 from incremental_mapper.frontend.lidar_odometry import PreparedScan
 from incremental_mapper.graph.factors import Factor, gnss_factor, velocity_prior
 from incremental_mapper.measurements import NANOSECONDS, NO_VERTICAL_SIGMA
+from incremental_mapper.quantiles import chi_squared
 from incremental_mapper.selection.window_problem import fix_spread
 from incremental_mapper.smoothing.graph_state import GraphState, PlacedFix
 from incremental_mapper.smoothing.smoother import smoother_update
@@ -20,7 +20,7 @@ from incremental_mapper.variables import pose_key, velocity_key
 
 STANDING_SIGMA = 0.02
 """m/s; standard deviation of the velocity of a vehicle that stands."""
-SURPRISE = float(chi2.ppf(0.9999, 3))
+SURPRISE = chi_squared(0.9999, 3)
 """Squared Mahalanobis distance beyond which a fix says that the vehicle stands elsewhere."""
 
 

@@ -8,7 +8,8 @@ standard error is that of the planes' sums (cluster-robust).
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2, t
+
+from incremental_mapper.quantiles import chi_squared, student_t
 
 FEWEST_PLANES = 3
 """With fewer planes their spread tells nothing, and the lower score stands."""
@@ -68,7 +69,7 @@ def ties(
         error = np.sqrt(spread * count / (count - 1))
         # Not finite are those without a map, which never win.
         with np.errstate(invalid='ignore'):
-            tied = total <= t.ppf(confidence, count - 1) * error
+            tied = total <= student_t(confidence, count - 1) * error
     tied[best] = True
     return tied
 
@@ -95,4 +96,4 @@ def agrees(
     """
     scale = max(least_cost / max(least_freedom, 1), 1.0)
     more = max(freedom - least_freedom, 1)
-    return bool(cost - least_cost <= scale * chi2.ppf(confidence, more))
+    return bool(cost - least_cost <= scale * chi_squared(confidence, more))

@@ -10,12 +10,12 @@ from functools import partial
 from itertools import islice
 
 import numpy as np
-from scipy.stats import chi2
 
 from incremental_mapper.candidates.enumeration import base_candidate
 from incremental_mapper.candidates.local_moves import neighbours
 from incremental_mapper.candidates.model import HEAD, Candidate
 from incremental_mapper.candidates.time_shift_search import by_time_shift
+from incremental_mapper.quantiles import chi_squared
 from incremental_mapper.scoring import mom
 from incremental_mapper.scoring.criteria import ByFunction, Criterion, Mom, Proposal, mom_criterion
 from incremental_mapper.scoring.ties import agrees
@@ -276,7 +276,7 @@ class _Selection:
         ours, theirs = (self._proposals[i].poses[:, :3, :3] for i in (one, least))
         # A chord of the circle: for small angles the angle itself.
         angles = np.linalg.norm(ours - theirs, axis=(1, 2)) / np.sqrt(2.0)
-        allowed = config.odometry.sigma_rotation * np.sqrt(chi2.ppf(confidence, 3))
+        allowed = config.odometry.sigma_rotation * np.sqrt(chi_squared(confidence, 3))
         return bool((angles <= allowed).all())
 
     def _freedom(self, candidate: Candidate) -> int:
