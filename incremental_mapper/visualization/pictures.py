@@ -49,6 +49,8 @@ EVENED = 0.6
 """Share of the colours that follows the ranks of heights; the rest follows the heights."""
 STEPS = 256
 """Colours of heights."""
+SNAPPED = 1.3
+"""How much larger a mark is drawn, as none is drawn between pixels."""
 NO_BAR, BAR = (128, 76), (256, 142)
 """Pixels beside the axes, with a heading and without; and where a bar of colours stands there."""
 HEADED, UNHEADED = 166, 84
@@ -281,10 +283,19 @@ def _draw_points(
 
     norm, colours = _evened(heights), _height_colours(look)
     size, alpha = _mark(axes, flat)
-    axes.scatter(
-        flat[:, 0], flat[:, 1], c=heights, s=size, alpha=alpha, linewidths=0, marker='o',
-        cmap=colours, norm=norm, rasterized=True,
-    )  # fmt: skip
+    # Markers are put onto whole pixels: what stands on a grid itself would show a weave.
+    pixel = np.ptp([axes.get_xlim(), axes.get_ylim()], axis=1) / axes_pixels(axes)
+    flat = flat + pixel * np.random.default_rng(0).uniform(-0.5, 0.5, flat.shape)
+    # One line of markers for each colour: points with a colour each take ten times as long.
+    shades = np.minimum((np.asarray(norm(heights)).clip(0.0, 1.0) * STEPS).astype(int), STEPS - 1)
+    order = np.argsort(shades, kind='stable')  # what is high hides what is low
+    for part in np.split(order, np.searchsorted(shades[order], np.arange(1, STEPS))):
+        if len(part) > 0:
+            axes.plot(
+                flat[part, 0], flat[part, 1], linestyle='', marker='o', markersize=SNAPPED * np.sqrt(size),
+                markeredgewidth=0, color=colours((shades[part[0]] + 0.5) / STEPS), alpha=alpha,
+                rasterized=True,
+            )  # fmt: skip
     place = axes.get_position()
     gap, width = 24 / look.width, (22 if look.heading else 12) / look.width
     gap = gap if look.heading else gap / 2
