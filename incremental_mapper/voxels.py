@@ -1,17 +1,17 @@
 """Thinning the points of one scan to a voxel grid.
 
-By hand in NumPy, not with ``map.voxel_grid``: the LiDARs' processes thin their scans too, and would
-start most of a second later with a compiler. Coordinates are kept in rows, (3, N), where that is
-quicker.
+Coordinates are kept in rows, (3, N), as the front end keeps them.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
-TABLE_BITS = 2
-"""A hash table has so many more bits than the count of its numbers: more than 4 slots each."""
-GOLDEN = 0x9E3779B97F4A7C15
-"""2^64 divided by the golden ratio; its upper half is 2^32 divided by it."""
+from incremental_mapper.compiled import kernel
+
+SLOTS = 2
+"""A hash table has at least so many slots for each point."""
+OUTERMOST = 4e18
+"""Number of the last voxel in every direction."""
 
 
 def thin(points: NDArray[np.float64], voxel_size: float) -> NDArray[np.float64]:
@@ -41,54 +41,52 @@ def voxel_means(rows: NDArray[np.floating], voxel_size: float) -> NDArray[np.flo
     count = rows.shape[1]
     if count == 0:
         return np.zeros(rows.shape)
-    last = _last_mates(np.floor(rows[:3] * rows.dtype.type(1.0 / voxel_size)))
-    kept = np.flatnonzero(last == np.arange(count))
-    means = np.empty((len(rows), len(kept)))
-    for row, mean in zip(rows, means, strict=True):
-        mean[:] = np.bincount(last, weights=row, minlength=count).take(kept)
-    means /= np.bincount(last, minlength=count).take(kept)
+    dense = np.ascontiguousarray(rows)
+    return _means(dense, dense.dtype.type(1.0 / voxel_size))
+
+
+@kernel
+def _means(rows: NDArray[np.floating], inverse: float) -> NDArray[np.float64]:
+    """See voxel_means; ``inverse`` is 1 / voxel_size in the precision of the rows."""
+    channels, count = rows.shape
+    size = 2
+    while size < SLOTS * count:
+        size *= 2
+    table = np.full(size, -1, dtype=np.int32)  # the voxel in each slot
+    cells = np.empty((count, 3), dtype=np.int64)
+    sums = np.empty((count, channels + 1))  # of each voxel; the number of its columns comes last
+    last = np.empty(count, dtype=np.int32)
+    own = np.empty(count, dtype=np.int32)  # the voxel of each column
+    voxels = 0
+    for i in range(count):
+        # What is absurdly far off shares the outermost voxel.
+        x = np.int64(min(max(np.floor(rows[0, i] * inverse), -OUTERMOST), OUTERMOST))
+        y = np.int64(min(max(np.floor(rows[1, i] * inverse), -OUTERMOST), OUTERMOST))
+        z = np.int64(min(max(np.floor(rows[2, i] * inverse), -OUTERMOST), OUTERMOST))
+        # Large primes, as others hash voxels too (Teschner and others, VMV 2003).
+        mixed = np.uint64(x) * np.uint64(73856093)
+        mixed ^= np.uint64(y) * np.uint64(19349669)
+        mixed ^= np.uint64(z) * np.uint64(83492791)
+        slot = np.int64(mixed & np.uint64(size - 1))
+        voxel = table[slot]
+        while voxel >= 0 and (cells[voxel, 0] != x or cells[voxel, 1] != y or cells[voxel, 2] != z):
+            slot = (slot + 1) & (size - 1)
+            voxel = table[slot]
+        if voxel < 0:
+            voxel = np.int32(voxels)
+            voxels += 1
+            table[slot] = voxel
+            cells[voxel, 0], cells[voxel, 1], cells[voxel, 2] = x, y, z
+            sums[voxel] = 0.0
+        for k in range(channels):
+            sums[voxel, k] += rows[k, i]
+        sums[voxel, channels] += 1.0
+        last[voxel], own[i] = i, voxel
+    means = np.empty((channels, voxels))
+    column = 0
+    for i in range(count):
+        if last[own[i]] == i:
+            for k in range(channels):
+                means[k, column] = sums[own[i], k] / sums[own[i], channels]
+            column += 1
     return means
-
-
-def _last_mates(cells: NDArray[np.floating]) -> NDArray[np.intp]:
-    """For every column of ``cells`` (3, N), the last column that is equal to it, (N,)."""
-    cells = cells - cells.min(axis=1, keepdims=True)
-    sizes = cells.max(axis=1).astype(np.float64) + 1.0
-    voxels = sizes.prod()
-    if voxels < 2.0**53:  # a float counts exactly up to there
-        kind = np.uint32 if voxels < 2.0**32 else np.uint64
-        numbers, y, z = cells.astype(kind)
-        numbers *= kind(sizes[1])
-        numbers += y
-        numbers *= kind(sizes[2])
-        numbers += z
-        return _last_equals(numbers)
-    order = np.lexsort(cells[::-1])
-    cells = cells[:, order]
-    ends = np.append((cells[:, 1:] != cells[:, :-1]).any(axis=0), True)
-    last = np.empty_like(order)
-    last[order] = order[ends][np.cumsum(ends) - ends]
-    return last
-
-
-def _last_equals(numbers: NDArray[np.uint32] | NDArray[np.uint64]) -> NDArray[np.intp]:
-    """For each of ``numbers`` (N,), the index of the last one that is equal to it, (N,).
-
-    A hash table, several times as large as there are numbers: faster than sorting them.
-    """
-    count, width = len(numbers), numbers.dtype.itemsize * 8
-    bits = count.bit_length() + TABLE_BITS
-    # Multiplying by the golden ratio spreads neighbours over the upper bits.
-    slots = numbers * numbers.dtype.type(GOLDEN >> (64 - width))
-    slots >>= numbers.dtype.type(width - bits)
-    places = slots.astype(np.intp)
-    table = np.empty(1 << bits, dtype=np.int32)
-    table[places] = np.arange(count, dtype=np.int32)  # the last of a slot stays
-    last = table.take(places).astype(np.intp)
-    # Where other numbers have taken the slot, the remaining ones try again among themselves.
-    lost = np.flatnonzero(numbers.take(last) != numbers)
-    while len(lost) > 0:
-        table[places[lost]] = lost
-        last[lost] = table[places[lost]]
-        lost = lost[numbers[last[lost]] != numbers[lost]]
-    return last

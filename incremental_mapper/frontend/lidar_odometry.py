@@ -27,6 +27,7 @@ from incremental_mapper.frontend.preprocessing import (
     Twist,
     deskew,
     to_base,
+    warm_up,
 )
 from incremental_mapper.frontend.registration import Match, make_matcher
 from incremental_mapper.measurements import NANOSECONDS, LidarScan
@@ -86,6 +87,7 @@ class ScanPreparer:
 
     def __init__(self, name: str, config: Config, notes: Counter[str]) -> None:
         """Make ready for the LiDAR ``name``; ``notes`` counts what was used, but not in full."""
+        warm_up()
         lidar = config.lidars.get(name)
         self._odometry = config.odometry
         self._T_base_lidar = np.eye(4) if lidar is None else lidar.matrix()

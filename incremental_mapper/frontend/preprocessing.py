@@ -10,6 +10,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from incremental_mapper.compiled import kernel
 from incremental_mapper.measurements import LidarScan
 from incremental_mapper.voxels import voxel_means
 
@@ -97,16 +98,13 @@ def to_base(
     A thinned point has the mean time and intensity of the points that it stands for. Deskewing is
     linear in the points and, within a voxel, in their times, so it is deskewed to their mean.
     """
+    times = scan.point_times if with_times else None
+    known = [values for values in (times, scan.intensities) if values is not None]
+    further = np.array(known, dtype=np.float32).reshape(len(known), len(scan.points))
     # A float32 resolves 80 m to 8 um, the sensor resolves 2 mm.
     matrix = T_base_lidar.astype(np.float32)
-    rows = matrix[:3, :3] @ scan.points.T
-    with np.errstate(over='ignore'):  # what is absurdly far off is out of range as infinity too
-        squares = (rows * rows).sum(axis=0)
-    keep = np.flatnonzero((squares >= min_range**2) & (squares <= max_range**2))
-    rows = rows.take(keep, axis=1) + matrix[:3, 3:]
-    times = scan.point_times if with_times else None
-    known = [values[keep] for values in (times, scan.intensities) if values is not None]
-    means = voxel_means(np.vstack([rows, *known]) if known else rows, voxel_size)
+    squares = np.float32(min_range) ** 2, np.float32(max_range) ** 2
+    means = voxel_means(_within(scan.points, further, matrix, *squares), voxel_size)
     return Sweep(
         scan.stamp,
         scan.sensor,
@@ -124,3 +122,41 @@ def deskew(sweep: Sweep, motion: BodyMotion, moment: float) -> NDArray[np.float6
     if sweep.times is None:
         return sweep.rows.T
     return motion.moved(sweep.rows, sweep.times, moment).T
+
+
+def warm_up() -> None:
+    """Compile the kernels, or load them from disk."""
+    point = np.ones((1, 3), dtype=np.float32)
+    sweep = to_base(LidarScan(0, '', point), np.eye(4), 0.0, 10.0, 1.0)
+    voxel_means(sweep.rows, 1.0)
+
+
+@kernel
+def _within(
+    points: NDArray[np.float32],
+    further: NDArray[np.float32],
+    matrix: NDArray[np.float32],
+    nearest: float,
+    furthest: float,
+) -> NDArray[np.float32]:
+    """Points (N, 3) within range, moved, and what else is known (K, N) of them: (3 + K, M).
+
+    ``nearest`` and ``furthest`` are squares of ranges, ``matrix`` is T_base_lidar.
+    """
+    count = 0
+    for i in range(len(points)):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        if nearest <= x * x + y * y + z * z <= furthest:
+            count += 1
+    rows = np.empty((3 + len(further), count), dtype=np.float32)
+    column = 0
+    for i in range(len(points)):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        if nearest <= x * x + y * y + z * z <= furthest:
+            for k in range(3):
+                moved = matrix[k, 0] * x + matrix[k, 1] * y + matrix[k, 2] * z
+                rows[k, column] = moved + matrix[k, 3]
+            for k in range(len(further)):
+                rows[3 + k, column] = further[k, i]
+            column += 1
+    return rows

@@ -17,6 +17,7 @@ from incremental_mapper.checks.outcome import Outcome, outcome_findings
 from incremental_mapper.compiled import waiting
 from incremental_mapper.config import Config, Strategy, Tree
 from incremental_mapper.errors import MapperError
+from incremental_mapper.frontend import preprocessing
 from incremental_mapper.frontend.front_end import FrontEnd, Preparation, Prepared
 from incremental_mapper.frontend.imu_preintegration import (
     EMPTY_SERIES,
@@ -134,6 +135,7 @@ class Mapper:
             restart=self._front_end.restart,
         )
         with waiting():  # while the front end's processes start
+            preprocessing.warm_up()
             linear_system.warm_up()
             self._strategy.warm_up()
         self._parameters = preintegration_parameters(config.preintegration, config.imu.matrix())

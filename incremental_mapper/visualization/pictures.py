@@ -292,9 +292,9 @@ def _draw_points(
     for part in np.split(order, np.searchsorted(shades[order], np.arange(1, STEPS))):
         if len(part) > 0:
             axes.plot(
-                flat[part, 0], flat[part, 1], linestyle='', marker='o', markersize=SNAPPED * np.sqrt(size),
-                markeredgewidth=0, color=colours((shades[part[0]] + 0.5) / STEPS), alpha=alpha,
-                rasterized=True,
+                flat[part, 0], flat[part, 1], linestyle='', marker='o', alpha=alpha,
+                markeredgewidth=0, color=colours((shades[part[0]] + 0.5) / STEPS),
+                markersize=SNAPPED * np.sqrt(size), rasterized=True,
             )  # fmt: skip
     place = axes.get_position()
     gap, width = 24 / look.width, (22 if look.heading else 12) / look.width
