@@ -61,6 +61,21 @@ class RelativeCovariances:
         covariance: NDArray[np.float64] = moved @ joint @ moved.T
         return 0.5 * (covariance + covariance.T)
 
+    def position(self, key: int) -> float:
+        """How well the place of a pose is known in the map, by its least certain direction.
+
+        Args:
+            key: Key of a pose.
+
+        Returns:
+            Standard deviation, metres.
+        """
+        places = np.arange(self._places[key] + 3, self._places[key] + 6)  # behind the rotation
+        sides = np.zeros((self._size, 3))
+        sides[places, np.arange(3)] = self._scale[places]
+        covariance = (self._solver.solve(sides) * self._scale[:, None])[places]
+        return float(np.sqrt(np.linalg.eigvalsh(0.5 * (covariance + covariance.T))[-1]))
+
     def _factorised(
         self, linear: gtsam.GaussianFactorGraph
     ) -> tuple['SuperLU', NDArray[np.float64]]:
