@@ -109,7 +109,7 @@ def close_loops(state: GraphState, values: gtsam.Values, config: Config) -> Clos
         return Closed(values, note=UNREADABLE)
     if not maps or maps[-1].travelled - maps[0].travelled < settings.min_travel:
         return Closed(values)
-    places = _known_places(state.factors, values)
+    places = _known_places(state.factors.unpacked(), values, maps)
     if places is None:
         return Closed(values)
     found = find_closures(
@@ -188,9 +188,10 @@ def _more(
     wanted = {cluster for pair in pairs if pair not in tested for cluster in pair}
     if not wanted and not recognise:
         return None
-    places = _known_places((*state.factors, *state.closures), values)
+    plain = state.factors.unpacked()
+    places = _known_places((*plain, *state.closures), values, maps)
     # Closures that there are do not make a drive one that needs no more of them.
-    alone = _known_places(state.factors, values) if recognise and state.closures else places
+    alone = _known_places(plain, values, maps) if recognise and state.closures else places
     if places is None or alone is None:
         return None
     recognise = recognise and not alone.certain(maps, settings)
@@ -221,10 +222,12 @@ def _library_note(stretches: Sequence[Stretch], settings: ClosureSettings) -> st
     return '' if short or can_recognise() else NO_LIBRARY
 
 
-def _known_places(factors: Sequence[Factor], values: gtsam.Values) -> KnownPlaces | None:
+def _known_places(
+    factors: Sequence[Factor], values: gtsam.Values, maps: Sequence[LocalMap]
+) -> KnownPlaces | None:
     """Where the local maps lie; None where it cannot be told what is known already."""
     try:
-        return KnownPlaces(factors, values)
+        return KnownPlaces(factors, values, maps)
     except RuntimeError:
         # A singular system: without knowing what is known, no closure can be held against it.
         return None
@@ -248,7 +251,8 @@ def _closed(
         )
         for one in found.closures
     )
-    solved = solve_with_closures([factor.factor for factor in state.factors], factors, values)
+    plain = [factor.factor for factor in state.factors.unpacked()]
+    solved = solve_with_closures(plain, factors, values)
     refused = found.refused + Counter(refuted=len(factors) - len(solved.factors))
     return replace(
         solved,

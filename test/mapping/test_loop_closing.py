@@ -114,7 +114,7 @@ def test_what_a_drive_knows_of_its_places(drive):
         maps = cut_local_maps(
             stretches, known.clusters, known.scans, values, SETTINGS.closure, wanted=()
         )
-        places = KnownPlaces(known.factors, values)
+        places = KnownPlaces(known.factors, values, maps)
         assert places.certain(maps, SETTINGS.closure) is certain
         near = SETTINGS.closure.model_copy(update={'radius': 10.0})
         assert not places.certain(maps, near)  # neighbours may lie that far apart
@@ -122,7 +122,8 @@ def test_what_a_drive_knows_of_its_places(drive):
             make_graph(factor.factor for factor in known.factors), values
         ).marginalCovariance(pose_key(80))
         expected = np.sqrt(np.linalg.eigvalsh(marginals[3:, 3:])[-1])
-        position = RelativeCovariances((factor.factor for factor in known.factors), values)
+        plain = (factor.factor for factor in known.factors)
+        position = RelativeCovariances(plain, values, [pose_key(80)])
         assert position.position(pose_key(80)) == pytest.approx(expected, rel=1e-3)
 
 
