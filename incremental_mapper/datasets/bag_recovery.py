@@ -28,7 +28,7 @@ from incremental_mapper.checks.recording_files import (
     unknown_storage,
     wrong_metadata,
 )
-from incremental_mapper.datasets.joint_leap import JointLeap, Logged
+from incremental_mapper.datasets.clock_leaps import ClockLeaps, Logged
 from incremental_mapper.datasets.livox import LIVOX_TYPES, livox_cloud
 from incremental_mapper.measurements import NANOSECONDS
 
@@ -59,11 +59,11 @@ class _Damage:
 class BagReader(AnyReader):
     """The bag library's reader; once it is open, ``findings`` say what was mended.
 
-    Where a ``leap`` is set, messages, their record times and those of the bag are by the clock
-    after it.
+    Where ``leaps`` are set, messages, their record times and those of the bag are by the clock
+    after them.
     """
 
-    leap: JointLeap | None = None
+    leaps: ClockLeaps | None = None
 
     def __init__(self, paths: list[Path], **options: Any) -> None:
         """See ``AnyReader``."""
@@ -102,18 +102,18 @@ class BagReader(AnyReader):
         stop: int | None = None,
     ) -> Generator[Logged, None, None]:
         """Messages of some connections, of all without any, from ``start`` until ``stop``, ns."""
-        leap, chosen = self.leap, list(connections)
-        if leap is None:
+        leaps, chosen = self.leaps, list(connections)
+        if leaps is None:
             yield from super().messages(chosen, start, stop)
             return
-        for begin, end in leap.spans(start, stop):
+        for begin, end in leaps.spans(start, stop):
             for message in super().messages(chosen, begin, end):
-                yield leap.moved(message, is_ros1(message[0]))
+                yield leaps.moved(message, is_ros1(message[0]))
 
     @property
     def start_time(self) -> int:
         """Record time (ns) of the first message."""
-        return super().start_time + (0 if self.leap is None else self.leap.recorded_by)
+        return super().start_time + (0 if self.leaps is None else self.leaps.recorded_by)
 
     @property
     def findings(self) -> list[Finding]:

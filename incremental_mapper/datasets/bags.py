@@ -22,6 +22,7 @@ from incremental_mapper.config import Tree
 from incremental_mapper.datasets.bag_files import Topic, bag_files, open_bag
 from incremental_mapper.datasets.bag_recovery import BagReader, is_ros1
 from incremental_mapper.datasets.bag_samples import read_span, sample_bag
+from incremental_mapper.datasets.clock_leaps import ClockLeaps, find_leaps
 from incremental_mapper.datasets.clock_look import ClockLook, check_clocks
 from incremental_mapper.datasets.extrinsics import find_extrinsics
 from incremental_mapper.datasets.first_look import (
@@ -33,7 +34,6 @@ from incremental_mapper.datasets.first_look import (
 )
 from incremental_mapper.datasets.headers import peek_header, stamped
 from incremental_mapper.datasets.imu_look import look_at_imus
-from incremental_mapper.datasets.joint_leap import JointLeap, find_joint_leap
 from incremental_mapper.datasets.message_conversion import (
     fix_from_message,
     header_stamp,
@@ -91,9 +91,9 @@ class BagSource:
         self._one_frame = OneFrame()
         own = _own_settings(self._folder, listed_lidars(tree))
         config = make_config(merge(own, tree))
-        self._leap: JointLeap | None = None
+        self._leaps: ClockLeaps | None = None
         with self._open() as reader:
-            self._leap = reader.leap = find_joint_leap(
+            self._leaps = reader.leaps = find_leaps(
                 reader, record_times(reader, reader.topics), is_ros1
             )
             self._topics = [
@@ -156,7 +156,7 @@ class BagSource:
             ]
             findings = [
                 *reader.findings,
-                *([] if self._leap is None else [self._leap.finding()]),
+                *([] if self._leaps is None else self._leaps.findings()),
                 *self._choice.findings,
                 *extrinsics.findings,
                 *(
@@ -385,7 +385,7 @@ class BagSource:
     @contextmanager
     def _open(self) -> Iterator[BagReader]:
         reader = open_bag(self._path)
-        reader.leap = self._leap
+        reader.leaps = self._leaps
         try:
             yield reader
         finally:

@@ -34,8 +34,8 @@ def record_times(reader: BagReader, topics: Collection[str]) -> dict[str, Stamps
         for topic, stamps in _of_part(part, set(topics)):
             found.setdefault(topic, []).append(stamps)
     times = {topic: np.sort(np.concatenate(parts)) for topic, parts in found.items()}
-    leap = reader.leap
-    return times if leap is None else {t: leap.recorded(own) for t, own in times.items()}
+    leaps = reader.leaps
+    return times if leaps is None else {t: leaps.recorded(own) for t, own in times.items()}
 
 
 def _parts(reader: BagReader) -> Iterator[Any]:

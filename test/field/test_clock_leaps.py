@@ -61,3 +61,32 @@ def test_a_pause_of_days_is_none(recording, tmp_path):
     away = range(middle, middle + 330_000_000)
     paused = recording.with_items(item for item in recording.items if item[0] not in away)
     assert seen(leaping(paused, 2 * DAY, 'leaps').write(tmp_path / 'bag'))[1] == []
+
+
+def test_a_drive_that_begins_anew_is_none(recording, tmp_path):
+    length = recording.end - recording.start + 10_000_000
+    again = [(t + length, topic, m) for t, topic, m in recording.items]
+    assert 'clock_leap' not in seen(recording.plus(again).write(tmp_path / 'bag'))[1]
+
+
+def test_seconds_of_the_hour_that_strikes(recording, tmp_path):
+    from lies.recording import LIDARS, restamped, stamp_of
+
+    hour, middle = 3600 * NANOSECONDS, (recording.start + recording.end) // 2
+    made = recording.each(LIDARS, lambda m: restamped(m, (stamp_of(m) - middle) % hour + 1000))
+    sound, _, _ = seen(recording.write(tmp_path / 'sound'))
+    found, rules, _ = seen(made.write(tmp_path / 'bag'))
+    assert sorted(rules) == ['clock_leap', 'clock_offset', 'clock_offset']
+    assert [sensor for sensor, _ in found] == [sensor for sensor, _ in sound]
+    off = [abs(one[1] - other[1]) for one, other in zip(found, sound, strict=True)]
+    assert max(off) < 200_000_000  # the latency of its messages
+
+
+def test_a_small_step_is_left_to_the_mapper(recording, tmp_path):
+    from lies.recording import LIDARS, restamped, stamp_of
+
+    middle = (recording.start + recording.end) // 2
+    made = recording.each(
+        LIDARS, lambda m: restamped(m, stamp_of(m) + 3 * 10**8 * (stamp_of(m) > middle))
+    )
+    assert 'clock_leap' not in seen(made.write(tmp_path / 'bag'))[1]
