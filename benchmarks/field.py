@@ -45,12 +45,15 @@ from lies import (  # noqa: F401
     clocks,
     clouds,
     conventions,
+    conversions,
     fixes,
     frames,
     hardware,
     inertial,
+    leaps,
     sensors,
     surprises,
+    sweeps,
 )
 from lies.lie import LIES, Lie, Verdict
 from lies.recording import DRIVES, Recording, make_drive
