@@ -102,7 +102,7 @@ def inner_peak(process: int) -> float:
 
 
 def read(file: Path) -> tuple[dict[str, str], Trajectory | None]:
-    """What evalio says of a run, and the trajectory, None where there is hardly any."""
+    """What evalio says of a run, and the trajectory; None where there are hardly any poses."""
     if not file.is_file():
         return {}, None
     text = file.read_text(encoding='utf-8')
@@ -115,6 +115,8 @@ def read(file: Path) -> tuple[dict[str, str], Trajectory | None]:
         seconds, _, rest = row[0].strip().partition('.')
         stamps.append(int(seconds) * 10**9 + int(rest.ljust(9, '0')[:9]))
     numbers = np.array([[float(value) for value in row[1:8]] for row in rows])
+    if not np.isfinite(numbers).all() or not np.linalg.norm(numbers[:, 3:7], axis=1).all():
+        return said | {'status': 'numbers that are no poses'}, None
     order = np.unique(stamps, return_index=True)[1]
     made = Trajectory(np.array(stamps)[order], numbers[order, :3], numbers[order, 3:7])
     return said, made

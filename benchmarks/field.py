@@ -1,6 +1,7 @@
 """Recordings that lie: makes them, maps each by the command line, and says who was told.
 
-    python benchmarks/field.py [NAME ...] [--jobs N] [--external FOLDER] [--out FOLDER] [--list]
+    python benchmarks/field.py [NAME ...] [--timed] [--jobs N] [--out FOLDER] [--list]
+    python benchmarks/field.py --external FOLDER
     python benchmarks/field.py --clean INPUT[@CONFIG] ...
 
 Every generator of the package ``lies`` harms a simulated drive of five seconds; the same drive
@@ -13,9 +14,11 @@ NOT MENDED    said, but the map is worse than where it is mended
 false alarm   sound, and a warning nevertheless
 CRASH         a traceback, or an end without a message
 
-The exit status is 1 where anything is silent or crashed. ``--external`` maps all inputs under a
-folder, with each settings file that lies beside them: what is right there is for the reader to
-judge. ``--clean`` maps sound inputs and lists their warnings, none of which should be untrue.
+The exit status is 1 where anything is silent or crashed. ``--timed`` gives the points of all
+drives their times, so that sweeps are deskewed by whatever the IMU says. ``--external`` maps all
+inputs under a folder, with each settings file that lies beside them: what is right there is for the
+reader to judge. ``--clean`` maps sound inputs and lists their warnings, none of which should be
+untrue.
 """
 
 import argparse
@@ -32,7 +35,7 @@ import traceback
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -42,12 +45,15 @@ from lies import (  # noqa: F401
     clocks,
     clouds,
     conventions,
+    conversions,
     fixes,
     frames,
     hardware,
     inertial,
+    leaps,
     sensors,
     surprises,
+    sweeps,
 )
 from lies.lie import LIES, Lie, Verdict
 from lies.recording import DRIVES, Recording, make_drive
@@ -244,7 +250,7 @@ HEADER = (
 )
 
 
-def run_lies(names: Sequence[str], work: Path, jobs: int) -> int:
+def run_lies(names: Sequence[str], work: Path, jobs: int, timed: bool = False) -> int:
     """The table of our own recordings; returns the exit status."""
     unknown = [name for name in names if name not in LIES]
     if unknown:
@@ -253,7 +259,8 @@ def run_lies(names: Sequence[str], work: Path, jobs: int) -> int:
     chosen = [LIES[name] for name in names or LIES]
     drives: dict[str, Recording] = {}
     for name in sorted({lie.drive for lie in chosen}):
-        drives[name] = make_drive(DRIVES[name], work / 'drives' / name)
+        kind = replace(DRIVES[name], timed=True) if timed else DRIVES[name]
+        drives[name] = make_drive(kind, work / 'drives' / name)
     print(HEADER, flush=True)
 
     def unharmed_of(name: str) -> Outcome:
@@ -357,6 +364,7 @@ def main() -> int:
     """Run the program; returns the exit status."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])  # type: ignore[union-attr]
     parser.add_argument('names', nargs='*', metavar='NAME', help='generators; all without any')
+    parser.add_argument('--timed', action='store_true', help='points have times in all drives')
     parser.add_argument('--list', action='store_true', help='name the generators and go')
     parser.add_argument('--external', type=Path, metavar='FOLDER', help='map inputs made elsewhere')
     parser.add_argument('--clean', nargs='+', metavar='INPUT[@CONFIG]', help='map sound inputs')
@@ -373,7 +381,7 @@ def main() -> int:
             return run_external(args.external, work, args.jobs)
         if args.clean:
             return run_clean(args.clean, work, args.jobs)
-        return run_lies(args.names, work, args.jobs)
+        return run_lies(args.names, work, args.jobs, args.timed)
     finally:
         if args.out is None:
             shutil.rmtree(work, ignore_errors=True)

@@ -152,7 +152,7 @@ def times_ms(drive: Recording, folder: Path) -> Path:
     return drive.each(LIDARS, timed).write(folder / 'bag')
 
 
-@lie(SOUND, MENDED, WARNED, REFUSED, about=r'field|x, y')
+@lie(MENDED, about=r'field')
 def capital_fields(drive: Recording, folder: Path) -> Path:
     """Fields named X, Y, Z."""
 

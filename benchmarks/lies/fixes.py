@@ -246,3 +246,53 @@ def cold_start(drive: Recording, folder: Path) -> Path:
 def drifting_fixes(drive: Recording, folder: Path) -> Path:
     """Fixes drift away by a metre from one to the next."""
     return _fixes(drive, lambda i, m: _north(m, 1.0 * i)).write(folder / 'bag')
+
+
+@lie(MENDED, WARNED, about=GNSS, drive='turns')
+def every_third_altitude(drive: Recording, folder: Path) -> Path:
+    """Every third altitude 20 m too high."""
+    return _fixes(drive, lambda i, m: replace(m, altitude=m.altitude + 20.0 * (i % 3 == 0))).write(
+        folder / 'bag'
+    )
+
+
+@lie(SOUND, MENDED, WARNED, about=GNSS, drive='fixes', factor=6.0)
+def covariance_unknown(drive: Recording, folder: Path) -> Path:
+    """Covariances of unknown type, and noise of 3 m."""
+    rng = np.random.default_rng(3)
+
+    def change(_: int, message: Any) -> Any:
+        north, east = rng.normal(scale=3.0 * METRE, size=2)
+        return replace(
+            message,
+            latitude=message.latitude + north,
+            longitude=message.longitude + east,
+            position_covariance=np.zeros(9),
+            position_covariance_type=0,
+        )
+
+    return _fixes(drive, change).write(folder / 'bag')
+
+
+@lie(MENDED, WARNED, about=GNSS, drive='turns')
+def minutes_behind_the_point(drive: Recording, folder: Path) -> Path:
+    """Degrees, minutes and seconds written as DD.MMSS."""
+
+    def written(degrees: float) -> float:
+        minutes, seconds = divmod(abs(degrees) * 3600.0, 60.0)
+        whole, minutes = divmod(minutes, 60.0)
+        return float(np.sign(degrees) * (whole + minutes / 100.0 + seconds / 10000.0))
+
+    return _degrees(drive, written).write(folder / 'bag')
+
+
+@lie(MENDED, WARNED, about=GNSS, drive='fixes')
+def base_station_between(drive: Recording, folder: Path) -> Path:
+    """Every second fix is that of the base station."""
+    station = drive.of(FIX)[0]
+
+    def change(number: int, message: Any) -> Any:
+        place = _north(station, 300.0)
+        return message if number % 2 else replace(place, header=message.header)
+
+    return _fixes(drive, change).write(folder / 'bag')

@@ -1,5 +1,6 @@
 """Frames and extrinsics that are not those of the car."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -310,3 +311,42 @@ def one_topic_unplaced(drive: Recording, folder: Path) -> Path:
     for topic in LIDARS:
         made = made.renamed(topic, '/lidar/points')
     return made.write(folder / 'bag')
+
+
+def _reposed(name: str, text: str, change: Callable[[np.ndarray], np.ndarray]) -> None:
+    """Enter a harm to the extrinsics of both LiDARs, over bends."""
+
+    def make(drive: Recording, folder: Path) -> Path:
+        poses = {side: change(_pose(drive, side)) for side in ('left', 'right')}
+        return _posed(drive, **poses).write(folder / 'bag')
+
+    make.__name__, make.__doc__ = name, f'{text}.'
+    lie(MENDED, WARNED, REFUSED, about=EXTRINSICS, drive='turns')(make)
+
+
+def _rotated(pose: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+    made = pose.copy()
+    made[:3, :3] = rotation
+    return made
+
+
+def _about(axis: str, degrees: float) -> Callable[[np.ndarray], np.ndarray]:
+    turn = np.eye(4)
+    turn[:3, :3] = Rotation.from_euler(axis, degrees, degrees=True).as_matrix()
+    return lambda pose: turn @ pose
+
+
+def _angles(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:
+    def changed(pose: np.ndarray) -> np.ndarray:
+        angles = Rotation.from_matrix(pose[:3, :3]).as_euler('zyx')
+        return _rotated(pose, Rotation.from_euler('zyx', change(angles)).as_matrix())
+
+    return changed
+
+
+_reposed('yawed_180', 'Extrinsics of both LiDARs yawed by 180 degrees', _about('z', 180.0))
+_reposed('pitched_5', 'Extrinsics of both LiDARs pitched by 5 degrees', _about('y', 5.0))
+_reposed('rolled_15', 'Extrinsics of both LiDARs rolled by 15 degrees', _about('x', 15.0))
+_reposed('transposed', 'Rotations of both transposed', lambda p: _rotated(p, p[:3, :3].T))
+_reposed('degrees_as_radians', 'Angles in degrees taken for radians', _angles(np.degrees))
+_reposed('euler_order', 'Roll, pitch, yaw read as yaw, pitch, roll', _angles(lambda a: a[::-1]))

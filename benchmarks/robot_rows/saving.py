@@ -289,15 +289,25 @@ def save_while_driving(folder: Path, rounds: int) -> Seen:
             wait_until(lambda: run.samples() > heard, START)
             begin = len(run.client.odometry)
             time.sleep(SETTLED)
-            asked = time.monotonic_ns()
-            success, message = run.client.call('save_map', PATIENCE)
-            seconds = (time.monotonic_ns() - asked) / NANOSECONDS
-            answered = time.time_ns()
+            asked = time.time_ns()
+            answers: list[tuple[bool, str, int]] = []
+            saving = threading.Thread(
+                target=lambda: answers.append(
+                    (*run.client.call('save_map', PATIENCE), time.time_ns())
+                ),
+                daemon=True,
+            )
+            saving.start()
             wait_until(lambda: player.poll() is not None, 2.0 * ROUND)
+            stopped = time.time_ns()
+        saving.join()
         run.catch_up()
+        ((success, message, answered),) = answers
         lags = window_lags(run.client.odometry[begin:])
-        before = [lag for sent, lag in lags if sent < answered - seconds * NANOSECONDS]
-        during = [lag for sent, lag in lags if answered - seconds * NANOSECONDS <= sent <= answered]
+        before = [lag for sent, lag in lags if sent < asked]
+        # The last windows of a drive close when nothing more has come for a while.
+        during = [lag for sent, lag in lags if asked <= sent <= min(answered, stopped)]
+        seconds = (answered - asked) / NANOSECONDS
         clusters = run.client.stats[-1]['clusters']
         ended, stands = end_as_launch(run, folder)
     whole = {name: complete(folder / name) for name in ('saved', 'saved_2', 'last')}
@@ -305,9 +315,10 @@ def save_while_driving(folder: Path, rounds: int) -> Seen:
     worst = max(during, default=math.inf)  # where none came at all
     added = worst - max(before)
     duration = Config().window.duration
+    behind = '' if answered < stopped else ', when the drive was over'
     return Seen(
-        f'{message} after {seconds:.1f} s; windows came at most {max(before):.3f} s later than the '
-        f'earliest one before it, {worst:.3f} s during it, of {duration:g} s each; then '
+        f'{message} after {seconds:.1f} s{behind}; windows came at most {max(before):.3f} s later '
+        f'than the earliest one before it, {worst:.3f} s during it, of {duration:g} s each; then '
         f'{ended}; the save under way and the last one stood {stands} after SIGINT; complete: '
         f'{", ".join(name for name, ok in whole.items() if ok) or "none"}, '
         f'{clusters} clusters {"all there" if all_there else "NOT all there"}',

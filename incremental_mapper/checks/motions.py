@@ -42,6 +42,8 @@ STRETCH = 5.0
 """Metres between two fixes that tell a distance."""
 OUT_OF_NOISE = 10.0
 """How many times their standard deviation two fixes are apart at least, where they do."""
+HOLE = 0.02
+"""Seconds without odometry that are a hole."""
 STRETCHES = 3
 """Such distances that make a judgement."""
 SHORT, LONG = 0.6, 1.6
@@ -49,6 +51,9 @@ SHORT, LONG = 0.6, 1.6
 1.01 with gicp; kiss_icp reads 0.2 of the way where ground rings outweigh walls."""
 MOST = 0.8
 """Share of the distances that must say so."""
+NEAR, ALIKE, MANY = (0.92, 1.07), 0.05, 5
+"""Ratios in which less is believed where so many distances are that much alike: fixes in another
+unit (gons read 0.90 of the way), ranges that are all too long. The others scatter by chance."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -208,7 +213,9 @@ def distance_findings(lidars: Sequence[Motions], track: Track) -> list[Finding]:
             continue
         ratio = float(np.median(ratios))
         share = max(float(np.mean(ratios < SHORT)), float(np.mean(ratios > LONG)))
-        if SHORT <= ratio <= LONG or share < MOST:
+        alike = float(np.quantile(np.abs(ratios / ratio - 1.0), MOST)) < ALIKE
+        little = len(ratios) >= MANY and alike and not NEAR[0] <= ratio <= NEAR[1]
+        if not little and (SHORT <= ratio <= LONG or share < MOST):
             continue
         found.append(
             Finding(
@@ -219,7 +226,8 @@ def distance_findings(lidars: Sequence[Motions], track: Track) -> list[Finding]:
                 f'its odometry reads {ratio:.2f} times the way that the fixes say, over '
                 f'{len(ratios)} stretches',
                 'too little: odometry.method gicp instead of kiss_icp, and a smaller '
-                'odometry.voxel_size; else check the unit of the points, the stamps, and the fixes',
+                'odometry.voxel_size; else check the unit of the points (lidars.NAME.scale), the '
+                'stamps, and the degrees of the fixes',
             )
         )
     return found
@@ -235,14 +243,19 @@ def distance_ratios(item: Motions, track: Track) -> NDArray[np.float64]:
     ways = np.cumsum(lengths)
     at = (track.stamps - origin) / NANOSECONDS
     covered = (at >= 0.0) & (at <= ends[-1])
-    # A hole in the odometry would count as standing.
-    holes = item.starts[1:] - item.ends[:-1]
-    if not covered.any() or (len(holes) and int(holes.max()) > NANOSECONDS):
+    if not covered.any():
         return np.zeros(0)
+    # A hole in the odometry would count as standing. There are some in most drives: while the car
+    # stands, and where a window needs only one of two LiDARs.
+    gone = np.flatnonzero(item.starts[1:] - item.ends[:-1] > HOLE * NANOSECONDS)
+    from_, until = ends[gone], (item.starts[gone + 1] - origin) / NANOSECONDS
     at, places, sigmas = at[covered], track.positions[covered, :2], track.sigmas[covered]
     reached = np.interp(at, [0.0, *ends], [0.0, *ways])
     ratios, last = [], 0
     for index in range(1, len(at)):
+        if np.any((from_ < at[index]) & (until > at[last])):
+            last = index
+            continue
         apart = float(np.linalg.norm(places[index] - places[last]))
         noise = float(np.hypot(sigmas[index], sigmas[last]))
         if apart > max(STRETCH, OUT_OF_NOISE * noise):

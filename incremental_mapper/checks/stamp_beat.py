@@ -18,6 +18,8 @@ Urban and the HDL-64 of KITTI: 0.00001 to 0.0009. At 10 m/s it is 5 cm, half a w
 REGULAR = 0.7
 """Share of the steps within half of the usual one, at least, where there is a beat at all:
 keyframes have none."""
+WHOLE = 0.2
+"""Beats by which a step may be off a whole number of them, where scans are lost."""
 SHORTEST, LONGEST = 0.02, 0.5
 """Seconds from sweep to sweep of what turns."""
 
@@ -34,10 +36,21 @@ def beat_scatter(stamps: NDArray[np.int64]) -> float | None:
     if len(stamps) < FEWEST:
         return None
     steps = np.diff(stamps) / NANOSECONDS
-    usual = float(np.median(steps))
-    if not SHORTEST < usual < LONGEST or np.mean(np.abs(steps / usual - 1.0) < 0.5) < REGULAR:
-        return None
     passed = (stamps - stamps[0]) / NANOSECONDS
+    # Where every third scan is lost the median lies between one beat and two.
+    usual, short = (float(step) for step in np.quantile(steps, (0.5, 0.2)))
+    found = []
+    if SHORTEST < usual < LONGEST and np.mean(np.abs(steps / usual - 1.0) < 0.5) >= REGULAR:
+        found.append(_around(passed, usual))
+    if SHORTEST < short < LONGEST:
+        beats = steps / short
+        if np.mean(np.abs(beats - np.round(beats)) < WHOLE) >= REGULAR:
+            found.append(_around(passed, short))
+    return min(found, default=None)
+
+
+def _around(passed: NDArray[np.float64], usual: float) -> float:
+    """Scatter (s) of times around a beat of about ``usual`` seconds."""
     # Steps that scatter have a median of their own; how many beats there were tells the true one.
     count = round(float(passed[-1]) / usual)
     return min(_scatter(passed, float(passed[-1]) / beats) for beats in range(count - 2, count + 3))

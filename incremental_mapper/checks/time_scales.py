@@ -14,18 +14,24 @@ _TAI_MINUS_UTC = (
 _TAI_MINUS_GPS = 19
 _QUARTER = 900
 """Seconds; time zones are multiples of it."""
-_DAY = 86400
+_HOUR, _DAY, _WEEK = 3600, 86400, 604800
+_SHORT = ((_HOUR, 'the hour'), (_DAY, 'the day'), (_WEEK, 'the week'))
+"""Time within which a clock may count: packets of LiDARs, sentences and frames of receivers."""
 _MOST_QUARTERS = 26 * 4
 """Two clocks in time zones differ by 26 h at most."""
 
 
-def known_offset(seconds: float, utc: int, tolerance: float) -> tuple[int, str] | None:
+def known_offset(
+    seconds: float, utc: int, tolerance: float, within: bool = False
+) -> tuple[int, str] | None:
     """Tell which time scales differ by a number of seconds.
 
     Args:
         seconds: by which one clock is ahead of another.
         utc: a stamp of the other clock in nanoseconds since 1970.
         tolerance: seconds; the latencies of the two sensors' messages differ by less.
+        within: whether it may be a clock that begins again with every hour, day or week. One that
+            counts from power-up is taken for such a one where it is so by chance.
 
     Returns:
         The whole seconds by which they differ, and their name in words; None where no two scales
@@ -47,10 +53,19 @@ def known_offset(seconds: float, utc: int, tolerance: float) -> tuple[int, str] 
         quarters = round((seconds - leap) / _QUARTER)
         whole = quarters * _QUARTER + leap
         zone = abs(quarters) <= _MOST_QUARTERS or quarters * _QUARTER % _DAY == 0
-        if whole and zone and abs(seconds - whole) <= tolerance:
-            words = [scale, _zone(quarters * _QUARTER)]
+        dated = utc >= _WEEK * NANOSECONDS
+        hours = within and dated and quarters * _QUARTER % _HOUR == 0
+        counted = _counted(utc / NANOSECONDS + seconds) if hours else ''
+        if whole and (zone or counted) and abs(seconds - whole) <= tolerance:
+            words = [scale, counted or _zone(quarters * _QUARTER)]
             return whole, ' and '.join(word for word in words if word)
     return None
+
+
+def _counted(stamp: float) -> str:
+    """In words what a clock counts within that begins again from 0; '' where it tells a date."""
+    name = next((name for span, name in _SHORT if 0.0 <= stamp < span), '')
+    return f'seconds of {name}' if name else ''
 
 
 def _zone(seconds: int) -> str:

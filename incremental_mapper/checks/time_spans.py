@@ -71,7 +71,8 @@ def _known(
     ]
     if min(abs(end) for end in ends) < SMALLEST_SHIFT or abs(ends[0] - ends[1]) > ENDS:
         return None
-    return known_offset(sum(ends) / 2.0, max(clock.last for clock in reference), ENDS / 2.0)
+    utc = max(clock.last for clock in reference)
+    return known_offset(sum(ends) / 2.0, utc, ENDS / 2.0, within=True)
 
 
 def _offset(

@@ -5,6 +5,7 @@ from incremental_mapper.checks.finding import Finding, Severity
 _SEVERITIES = {
     'wrong_row_step': Severity.MENDED,
     'wrong_layout': Severity.MENDED,
+    'field_names': Severity.MENDED,
     'millimetres': Severity.MENDED,
     'absurd_times': Severity.MENDED,
     'no_altitude': Severity.MENDED,

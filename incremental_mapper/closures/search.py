@@ -6,8 +6,6 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
-import numpy as np
-
 from incremental_mapper.closures.candidate_pairs import (
     Relative,
     by_looks,
@@ -24,11 +22,6 @@ Pair: TypeAlias = tuple[int, int]
 Tested: TypeAlias = Mapping[Pair, Closure | str]
 """What registration has led to for pairs of local maps of one drive."""
 NOT_TESTED: Tested = {}
-FEW = 50
-"""Local maps of one drive of which it is asked how well they are placed: of more, asking takes as
-long as looking."""
-DEVIATIONS = 3.0
-"""Standard deviations of a place beyond which a local map is not looked for."""
 LEFT = 'left_for_later'
 """Why a pair is no closure yet: as many as were wanted were registered before it."""
 
@@ -76,7 +69,7 @@ def find_closures(
         The closures, the first always before the second in ``maps``.
     """
     candidates = by_place(maps, settings) if placed else []
-    if recognise and can_recognise() and not (placed and _well_placed(maps, relative, settings)):
+    if recognise and can_recognise():
         candidates += by_looks(maps, settings)
     verifier = Verifier(maps, settings, odometry)
     refused: Counter[str] = Counter()
@@ -114,22 +107,3 @@ def find_closures(
     refused['contradicted'] += len(contradicted)
     refused['alone'] += len(alone)
     return Found(tuple(held), tried, +refused, {**registrations, **known_pairs})
-
-
-def _well_placed(maps: Sequence[LocalMap], relative: Relative, settings: ClosureSettings) -> bool:
-    """Whether places are known so well that what looks alike and is no neighbour lies elsewhere.
-
-    Whoever passes a place again then finds it among the neighbours; looking for it costs more than
-    all else that closures do.
-    """
-    if len(maps) > FEW or len({one.run for one in maps}) > 1:
-        return False
-    worst = 0.0
-    for own in maps[1:]:
-        known = relative(maps[0], own)
-        if known is None:
-            return False
-        worst = max(worst, float(np.linalg.eigvalsh(known.covariance[3:, 3:])[-1]))
-    # Two maps are no worse known to each other than both to the first one, together.
-    off = DEVIATIONS * 2.0 * math.sqrt(worst)
-    return off + settings.map_length <= settings.radius

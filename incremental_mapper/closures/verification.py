@@ -37,8 +37,8 @@ IMPROBABLE = 22.5
 """Squared Mahalanobis distance that one in a thousand exceeds, with six degrees of freedom."""
 GUESS = np.diag(np.square([0.1, 0.1, 0.1, 3.0, 3.0, 3.0]))
 """Covariance of where a candidate lies: registration takes it from there."""
-KEPT = 64
-"""Prepared local maps that are kept."""
+KEPT = 16
+"""Prepared local maps that are kept, 6 MB each; pairs come in the order of the way."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,7 +8,7 @@ import shutil
 import sqlite3
 import tempfile
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Generator, Iterable
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -28,6 +28,7 @@ from incremental_mapper.checks.recording_files import (
     unknown_storage,
     wrong_metadata,
 )
+from incremental_mapper.datasets.clock_leaps import ClockLeaps, Logged
 from incremental_mapper.datasets.livox import LIVOX_TYPES, livox_cloud
 from incremental_mapper.measurements import NANOSECONDS
 
@@ -56,7 +57,13 @@ class _Damage:
 
 
 class BagReader(AnyReader):
-    """The bag library's reader; once it is open, ``findings`` say what was mended."""
+    """The bag library's reader; once it is open, ``findings`` say what was mended.
+
+    Where ``leaps`` are set, messages, their record times and those of the bag are by the clock
+    after them.
+    """
+
+    leaps: ClockLeaps | None = None
 
     def __init__(self, paths: list[Path], **options: Any) -> None:
         """See ``AnyReader``."""
@@ -88,6 +95,26 @@ class BagReader(AnyReader):
             return livox_cloud(rawdata, ros1=not self.is2)
         return super().deserialize(rawdata, typ)
 
+    def messages(
+        self,
+        connections: Iterable[Any] = (),
+        start: int | None = None,
+        stop: int | None = None,
+    ) -> Generator[Logged, None, None]:
+        """Messages of some connections, of all without any, from ``start`` until ``stop``, ns."""
+        leaps, chosen = self.leaps, list(connections)
+        if leaps is None:
+            yield from super().messages(chosen, start, stop)
+            return
+        for begin, end in leaps.spans(start, stop):
+            for message in super().messages(chosen, begin, end):
+                yield leaps.moved(message, is_ros1(message[0]))
+
+    @property
+    def start_time(self) -> int:
+        """Record time (ns) of the first message."""
+        return super().start_time + (0 if self.leaps is None else self.leaps.recorded_by)
+
     @property
     def findings(self) -> list[Finding]:
         """What was wrong with the files."""
@@ -98,6 +125,11 @@ class BagReader(AnyReader):
             *unknown_storage(damage.identifiers),
             *damage.metadata,
         ]
+
+
+def is_ros1(connection: Any) -> bool:
+    """Whether a connection is one of a ROS 1 bag, whose messages begin otherwise."""
+    return hasattr(connection.owner, 'indexes')
 
 
 class _SalvagingMcap(McapReader):

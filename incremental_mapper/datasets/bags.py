@@ -20,14 +20,10 @@ from incremental_mapper.checks.sweeps import other_frame, sector_clouds, two_lid
 from incremental_mapper.checks.usual_lags import usual_lags
 from incremental_mapper.config import Tree
 from incremental_mapper.datasets.bag_files import Topic, bag_files, open_bag
-from incremental_mapper.datasets.bag_recovery import BagReader
+from incremental_mapper.datasets.bag_recovery import BagReader, is_ros1
 from incremental_mapper.datasets.bag_samples import read_span, sample_bag
-from incremental_mapper.datasets.clock_look import (
-    ClockLook,
-    check_clocks,
-    peek_header,
-    stamped,
-)
+from incremental_mapper.datasets.clock_leaps import ClockLeaps, find_leaps
+from incremental_mapper.datasets.clock_look import ClockLook, check_clocks
 from incremental_mapper.datasets.extrinsics import find_extrinsics
 from incremental_mapper.datasets.first_look import (
     TopicLook,
@@ -36,6 +32,7 @@ from incremental_mapper.datasets.first_look import (
     look_at_clouds,
     look_at_frame,
 )
+from incremental_mapper.datasets.headers import peek_header, stamped
 from incremental_mapper.datasets.imu_look import look_at_imus
 from incremental_mapper.datasets.message_conversion import (
     fix_from_message,
@@ -45,6 +42,7 @@ from incremental_mapper.datasets.message_conversion import (
 )
 from incremental_mapper.datasets.one_frame import OneFrame
 from incremental_mapper.datasets.receiver_look import look_at_receivers
+from incremental_mapper.datasets.record_times import record_times
 from incremental_mapper.datasets.remarks import Remarks
 from incremental_mapper.datasets.sampling import SamplePlan, SensorKind, SensorSample
 from incremental_mapper.datasets.sectors import NO_POINTS, SectorGatherer
@@ -93,7 +91,11 @@ class BagSource:
         self._one_frame = OneFrame()
         own = _own_settings(self._folder, listed_lidars(tree))
         config = make_config(merge(own, tree))
+        self._leaps: ClockLeaps | None = None
         with self._open() as reader:
+            self._leaps = reader.leaps = find_leaps(
+                reader, record_times(reader, reader.topics), is_ros1
+            )
             self._topics = [
                 Topic(name, info.msgtype or 'several types', info.msgcount)
                 for name, info in reader.topics.items()
@@ -154,6 +156,7 @@ class BagSource:
             ]
             findings = [
                 *reader.findings,
+                *([] if self._leaps is None else self._leaps.findings()),
                 *self._choice.findings,
                 *extrinsics.findings,
                 *(
@@ -382,6 +385,7 @@ class BagSource:
     @contextmanager
     def _open(self) -> Iterator[BagReader]:
         reader = open_bag(self._path)
+        reader.leaps = self._leaps
         try:
             yield reader
         finally:
@@ -406,7 +410,7 @@ class BagSource:
                     raise InputError(f'{self._path}: no message can be read ({reason})') from error
                 break
             if connection.topic in self._restamped:
-                data = stamped(data, logged, hasattr(connection.owner, 'indexes'))
+                data = stamped(data, logged, is_ros1(connection))
             stray = self._stray(strays, connection, logged, data)
             if stray is None:
                 yield connection, data
@@ -423,7 +427,7 @@ class BagSource:
         if connection.topic in self._restamped or self._lags.keys().isdisjoint(sensors.values()):
             return None
         try:
-            stamp, frame = peek_header(data, hasattr(connection.owner, 'indexes'))
+            stamp, frame = peek_header(data, is_ros1(connection))
         except (struct.error, UnicodeDecodeError):
             return None
         sensor = sensors.get(None) or sensors.get(frame)

@@ -13,7 +13,8 @@ from incremental_mapper.checks.coarse_stamps import coarse_finding, is_coarse, s
 from incremental_mapper.checks.finding import Finding, Severity
 from incremental_mapper.checks.sensor_clocks import NOT_LIDARS, SensorClock
 from incremental_mapper.config import Tree
-from incremental_mapper.datasets.bag_recovery import BagReader
+from incremental_mapper.datasets.bag_recovery import BagReader, is_ros1
+from incremental_mapper.datasets.headers import peek_header
 from incremental_mapper.datasets.message_conversion import scan_from_message
 from incremental_mapper.datasets.record_times import record_times
 from incremental_mapper.datasets.sensor_settings import offset_nanoseconds
@@ -185,7 +186,7 @@ class ClockLook:
         messages = self._messages([topic], start)
         for _, (connection, received, data) in zip(range(2 * _COARSE), messages, strict=False):
             try:
-                stamp, its = peek_header(data, hasattr(connection.owner, 'indexes'))
+                stamp, its = peek_header(data, is_ros1(connection))
             except (struct.error, UnicodeDecodeError):
                 continue
             if frame is None or its == frame:
@@ -228,7 +229,7 @@ class ClockLook:
     def _take(self, messages: Iterator[Logged], most: int) -> None:
         for _, (connection, received, data) in zip(range(most), messages, strict=False):
             try:
-                stamp, frame = peek_header(data, hasattr(connection.owner, 'indexes'))
+                stamp, frame = peek_header(data, is_ros1(connection))
             except (struct.error, UnicodeDecodeError):
                 continue
             by_frame = self._sensors[connection.topic]
@@ -253,13 +254,6 @@ class ClockLook:
         return 0 if times is None else max(round(float(times.max()) * NANOSECONDS), 0)
 
 
-def stamped(data: bytes, stamp: int, ros1: bool) -> bytes:
-    """A message as it lies in a bag, with another header stamp (ns)."""
-    order = '<' if ros1 or data[1:2] in (b'\x01', b'\x03') else '>'
-    time = struct.pack(f'{order}iI', *divmod(stamp, NANOSECONDS))
-    return data[:4] + time + data[12:]
-
-
 def _may_stand(pairs: NDArray[np.int64], times: NDArray[np.int64]) -> bool:
     """Whether stamps may stand between the few messages that were read.
 
@@ -271,17 +265,3 @@ def _may_stand(pairs: NDArray[np.int64], times: NDArray[np.int64]) -> bool:
         return True
     step = float(times[-1] - times[0]) / (len(times) - 1)
     return len(pairs) > 1 and float(np.ptp(pairs[:, 0] - pairs[:, 1])) > _BEHIND * step
-
-
-def peek_header(data: bytes, ros1: bool) -> tuple[int, str]:
-    """Read stamp (ns) and frame_id of a message that begins with a header, as it lies in a bag.
-
-    Raises:
-        struct.error: it is too short.
-        UnicodeDecodeError: the frame_id is no text.
-    """
-    # ROS 1 has a number before the stamp, CDR four bytes of which the second tells the order.
-    order = '<' if ros1 or data[1:2] in (b'\x01', b'\x03') else '>'
-    seconds, nanoseconds, length = struct.unpack_from(f'{order}iII', data, 4)
-    frame = bytes(data[16 : 16 + length]).rstrip(b'\0').decode()
-    return seconds * NANOSECONDS + nanoseconds, frame

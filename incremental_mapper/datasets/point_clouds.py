@@ -88,7 +88,7 @@ def cloud_table(message: Any) -> CloudTable:
     Raises:
         MeasurementError: layout and data do not fit.
     """
-    declared = _declared_fields(message)
+    declared, renamed = _declared_fields(message)
     width, height = int(message.width), int(message.height)
     point_step = int(message.point_step)
     layout = _layout(declared, point_step, bool(message.is_bigendian))
@@ -99,6 +99,7 @@ def cloud_table(message: Any) -> CloudTable:
     except (TypeError, ValueError, BufferError) as error:
         raise MeasurementError('wrong_type', f'data is no buffer of bytes ({error})') from error
     row_step, remarks = _row_step(message, len(data))
+    remarks += renamed
     needed = (height - 1) * row_step + width * point_step
     if len(data) < needed:
         raise MeasurementError(
@@ -196,25 +197,38 @@ def cloud_points(table: NDArray[np.void]) -> Points:
     return points
 
 
-def _declared_fields(message: Any) -> list[_Field]:
-    """x, y, z, times, intensity as the message declares them; other fields are skipped."""
+def _declared_fields(message: Any) -> tuple[list[_Field], tuple[Remark, ...]]:
+    """x, y, z, times, intensity as the message declares them; other fields are skipped.
+
+    A name in capitals is taken for the one in small letters that is missing, and remarked.
+    """
     fields: dict[str, _Field] = {}
     known = ('x', 'y', 'z', *TIME_FIELDS, *INTENSITY_FIELDS)
+    exact = {field.name for field in message.fields}
+    renamed = []
     for field in message.fields:
-        if field.name not in known or field.name in fields:
+        name = field.name
+        if name not in known and name.lower() not in exact:
+            name = name.lower()
+        if name not in known or name in fields:
             continue
         datatype = int(field.datatype)
-        if field.name in INTENSITY_FIELDS and not _readable(field, int(message.point_step)):
+        if name in INTENSITY_FIELDS and not _readable(field, int(message.point_step)):
             continue  # the points are of use without it
         if datatype not in _DATATYPES:
             raise MeasurementError(
                 'wrong_type', f'field {field.name!r} has datatype {field.datatype}, expected 1 to 8'
             )
-        fields[field.name] = _Field(field.name, datatype, int(field.offset))
+        fields[name] = _Field(name, datatype, int(field.offset))
+        if name != field.name and name not in INTENSITY_FIELDS:
+            renamed.append(field.name)
     missing = [name for name in 'xyz' if name not in fields]
     if missing:
         raise MeasurementError('missing_field', f'the cloud has no field {missing[0]!r}')
-    return list(fields.values())
+    if not renamed:
+        return list(fields.values()), ()
+    text = f'fields {", ".join(renamed)} are taken for {", ".join(renamed).lower()}'
+    return list(fields.values()), (Remark('field_names', text),)
 
 
 def _readable(field: Any, point_step: int) -> bool:

@@ -5,11 +5,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rosbags.highlevel import AnyReader
 from rosbags.rosbag1 import Reader as Reader1
 from rosbags.rosbag2.reader import DirectoryReader
 from rosbags.rosbag2.storage_mcap import McapReader
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
+
+from incremental_mapper.datasets.bag_recovery import BagReader
 
 Stamps = NDArray[np.int64]
 
@@ -18,7 +19,7 @@ _INDEX_HEAD = 15
 _INDEX_ENTRY = 16
 
 
-def record_times(reader: AnyReader, topics: Collection[str]) -> dict[str, Stamps]:
+def record_times(reader: BagReader, topics: Collection[str]) -> dict[str, Stamps]:
     """Read when the messages of some topics were recorded; no message is read.
 
     Args:
@@ -32,10 +33,12 @@ def record_times(reader: AnyReader, topics: Collection[str]) -> dict[str, Stamps
     for part in _parts(reader):
         for topic, stamps in _of_part(part, set(topics)):
             found.setdefault(topic, []).append(stamps)
-    return {topic: np.sort(np.concatenate(parts)) for topic, parts in found.items()}
+    times = {topic: np.sort(np.concatenate(parts)) for topic, parts in found.items()}
+    leaps = reader.leaps
+    return times if leaps is None else {t: leaps.recorded(own) for t, own in times.items()}
 
 
-def _parts(reader: AnyReader) -> Iterator[Any]:
+def _parts(reader: BagReader) -> Iterator[Any]:
     """The files of a bag, as the bag library reads each."""
     for owner in reader.readers:
         storage = getattr(owner, 'storage', owner)

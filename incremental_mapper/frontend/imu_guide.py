@@ -37,6 +37,9 @@ TURN_OFF, SHIFT_OFF = 0.01, 0.05
 MEMORY, MOST_WRONG = 0.9, 2.2
 """A match that the IMU was further off counts as one, and so much less with each one after it. So
 much of it is a knock, more is an IMU that is not as the settings say."""
+UNPROVEN = 3.0
+"""What counts against it at first: it leads once it has agreed with three matches of steady motion.
+Rates in another unit would deskew the very sweeps by which the unit is told."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,9 +93,9 @@ class Momentum:
 class ImuGuide:
     """The IMU's samples for one LiDAR's chain, its bias, and whether it is to be believed.
 
-    It is as long as it agrees with the matches about as well as steady motion does. Where its
-    extrinsics, units or clock are wrong it does not once the vehicle turns, and matches stay what
-    they are without it.
+    It is once it has agreed with some matches about as well as steady motion does, and as long as
+    it does: no sweep is deskewed by an IMU that nothing speaks for. Where its extrinsics, units or
+    clock are wrong it does not once the vehicle turns, and matches stay what they are without it.
     """
 
     def __init__(self, config: Config) -> None:
@@ -104,7 +107,7 @@ class ImuGuide:
         self._noise = (config.odometry.sigma_rotation, config.odometry.sigma_translation)
         self._series = EMPTY_SERIES
         self._bias, self._bias_variance = np.zeros(3), BIAS**2
-        self._wrong = 0.0  # matches that it was further off than steady motion, of late
+        self._wrong = UNPROVEN  # matches that it was further off than steady motion, of late
 
     def take(self, samples: ImuSeries, since: int) -> None:
         """Take in newer samples, in the IMU's axes, and forget those before a stamp (ns)."""

@@ -88,7 +88,7 @@ def write_ply(path: Path, cloud: MapCloud) -> None:
     columns = np.dtype([(name, '<f4') for name in CLOUD_FIELDS[: cloud.points.shape[1]]])
     with path.open('wb') as file:
         file.write(ply_header([('vertex', len(cloud), columns)]))
-        file.write(np.ascontiguousarray(cloud.points, dtype='<f4').tobytes())
+        file.write(np.ascontiguousarray(cloud.points, dtype='<f4').data)  # no copy: an hour is 1 GB
 
 
 def write_scans(path: Path, cloud: MapCloud) -> None:
@@ -110,7 +110,7 @@ def write_scans(path: Path, cloud: MapCloud) -> None:
     with path.open('wb') as file:
         file.write(ply_header(elements, cloud.lidars))
         file.write(scans.tobytes())
-        file.write(np.ascontiguousarray(cloud.first, dtype='<i4').tobytes())
+        file.write(np.ascontiguousarray(cloud.first, dtype='<i4').data)
 
 
 def ply_header(

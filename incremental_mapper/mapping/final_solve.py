@@ -22,6 +22,8 @@ def final_values(state: GraphState, config: Config) -> tuple[gtsam.Values, bool]
     values = state.all_values()
     if not config.graph.final_optimization or not state.clusters:
         return values, False
-    everything = make_graph(factor.factor for factor in (*state.factors, *state.closures))
+    everything = make_graph(
+        factor.factor for factor in (*state.factors.unpacked(), *state.closures)
+    )
     solution = optimize(everything, values, MOST_ITERATIONS)
     return (values, True) if solution is None else (solution.values, False)

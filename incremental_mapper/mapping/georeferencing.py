@@ -78,7 +78,7 @@ def georeference(state: GraphState, config: Config) -> bool:
     yaw, shift = align_track(enu[track], local[track])
     T_enu_map = gtsam.Pose3(gtsam.Rot3.Yaw(yaw), shift)
     turned = turn_values(state.all_values(), T_enu_map)
-    factors = [turn_prior(factor, T_enu_map, config) for factor in state.factors]
+    factors = [turn_prior(factor, T_enu_map, config) for factor in state.factors.unpacked()]
     for fix in state.fixes:
         factors[fix.factor] = gnss_factor(
             factors[fix.factor].keys[0],
@@ -117,7 +117,7 @@ def without_fixes(
         for fix in state.fixes
         if fix.factor not in gone
     ]
-    factors = [factor for place, factor in enumerate(state.factors) if place not in gone]
+    factors = [factor for place, factor in enumerate(state.factors.unpacked()) if place not in gone]
     values = state.all_values()
     offset: NDArray[np.float64] | None = None
     for fix in fixes:

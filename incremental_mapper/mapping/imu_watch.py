@@ -28,9 +28,11 @@ from incremental_mapper.frontend.lidar_odometry import PreparedScan
 from incremental_mapper.measurements import NANOSECONDS, ImuSample, Vector
 
 MOST_SAMPLES = 20_000
-"""Samples that are kept, up to twice as many between: 50 s at 400 Hz."""
+"""Samples that are kept: 50 s at 400 Hz."""
 MOST_MATCHES = 500
-"""Matches of each LiDAR that are kept, the same way: 50 s."""
+"""Matches of each LiDAR that are kept: 50 s."""
+WAITING = 256
+"""Samples, or matches, that are put beside the others in one go."""
 EACH = 150
 """Matches after which each LiDAR's clock is looked at by itself, once beside at the end."""
 GROWTH = 2.5
@@ -274,8 +276,9 @@ def _repeated(finding: Finding, before: Sequence[Finding]) -> bool:
 class _Newest:
     """The newest of a stream: two stamps (ns) and two vectors (3,) each.
 
-    Kept as arrays, since the rules ask for all of them again and again; what came since they last
-    asked waits in a list, since each sample of an IMU comes by here.
+    Kept as arrays, since the rules ask for all of them again and again, and a sample as Python has
+    it takes six times the memory; the newest wait in a list, since each sample of an IMU comes by
+    here.
     """
 
     def __init__(self, most: int) -> None:
@@ -288,9 +291,9 @@ class _Newest:
         return len(self._stamps) + len(self._waiting)
 
     def append(self, first: int, last: int, one: Vector, other: Vector) -> None:
-        """Keep one more; between ``most`` and twice as many are kept."""
+        """Keep one more; ``most`` are kept, and those that wait."""
         self._waiting.append((first, last, one, other))
-        if len(self._waiting) == self._most:
+        if len(self._waiting) == WAITING:
             self._join()
 
     def stamps(self) -> NDArray[np.int64]:

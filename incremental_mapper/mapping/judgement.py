@@ -205,8 +205,9 @@ def judge_map(state: GraphState, values: gtsam.Values, config: Config) -> list[F
 
 
 def _judge(state: GraphState, values: gtsam.Values, config: Config) -> list[Finding]:
-    driven = motions(matches(state.factors))
-    fit = fit_findings(residuals(judged(state.factors), values), state.clusters[0].cluster.stamp)
+    factors = state.factors.unpacked()
+    driven = motions(matches(factors))
+    fit = fit_findings(residuals(judged(factors), values), state.clusters[0].cluster.stamp)
     placed = sorted(state.clusters, key=lambda item: item.cluster.stamp)
     fixes = track(state.fixes)
     return [
@@ -225,7 +226,8 @@ def _distrusted(state: GraphState) -> tuple[Finding, ...]:
     """Fixes that are in a map which is laid out by others, and have no weight in it."""
     if not state.georeferenced or not state.fixes:
         return ()
-    factors = [state.factors[fix.factor] for fix in state.fixes]
+    every = state.factors.unpacked()
+    factors = [every[fix.factor] for fix in state.fixes]
     return hardly_trusted(
         factors[-1].sensor or 'gnss',
         np.array([fix.covariance[0, 0] for fix in state.fixes]),

@@ -174,7 +174,7 @@ def search_loops(state: GraphState, config: Config, looked: Looked) -> Search:
     Returns:
         All closures of G(t), and what is to be done.
     """
-    base = [factor.factor for factor in (*state.factors, *state.closures)]
+    base = [factor.factor for factor in (*state.factors.unpacked(), *state.closures)]
     solution = optimize(make_graph(base), state.all_values(), MOST_ITERATIONS)
     if solution is None:
         return Search(looked, {})
@@ -184,7 +184,7 @@ def search_loops(state: GraphState, config: Config, looked: Looked) -> Search:
     # An empty search says nothing of the closures that there are.
     if not closed.searched or {ends(factor) for factor in closed.factors} == before:
         return Search(closed.looked, told)
-    plain = [factor.factor for factor in state.factors]
+    plain = [factor.factor for factor in state.factors.unpacked()]
     after = [*plain, *(factor.factor for factor in closed.factors)]
     evidence = evidence_on(state.prior, closed.values, base, after)
     correction = _correction(state, closed.values, evidence)

@@ -11,16 +11,16 @@ from dataclasses import dataclass, field, replace
 import gtsam
 import numpy as np
 
-from incremental_mapper.closures.candidate_pairs import INSTALL, Known, by_place, can_recognise
+from incremental_mapper.closures.candidate_pairs import INSTALL, by_place, can_recognise
 from incremental_mapper.closures.local_maps import LocalMap, Stretch, cut_local_maps, cut_way
-from incremental_mapper.closures.search import NOT_TESTED, Found, Pair, Tested, find_closures
+from incremental_mapper.closures.search import Found, Pair, Tested, find_closures
 from incremental_mapper.config import ClosureSettings, Config
 from incremental_mapper.errors import OutputError
 from incremental_mapper.graph.factors import Factor, FactorKind, closure_factor
+from incremental_mapper.mapping.known_places import KnownPlaces
 from incremental_mapper.mapping.statistics import MapStatistics, percent_saved
 from incremental_mapper.smoothing.batch import make_graph, optimize
 from incremental_mapper.smoothing.graph_state import GraphState
-from incremental_mapper.smoothing.relative_covariance import RelativeCovariances
 from incremental_mapper.variables import cluster_of, pose_key
 
 MOST_ITERATIONS = 100
@@ -109,9 +109,16 @@ def close_loops(state: GraphState, values: gtsam.Values, config: Config) -> Clos
         return Closed(values, note=UNREADABLE)
     if not maps or maps[-1].travelled - maps[0].travelled < settings.min_travel:
         return Closed(values)
-    found = _found(state.factors, maps, values, config)
-    if found is None:
+    places = _known_places(state.factors.unpacked(), values, maps)
+    if places is None:
         return Closed(values)
+    found = find_closures(
+        maps,
+        places.relative,
+        settings,
+        config.odometry,
+        recognise=can_recognise() and not places.certain(maps, settings),
+    )
     return _closed(state, maps, found, values, config, _library_note(stretches, settings))
 
 
@@ -169,29 +176,42 @@ def _more(
 ) -> Closed | None:
     """What there is beyond what was looked at; None where there is nothing to be compared."""
     settings, tested = config.closure, looked.tested
-    maps = cut_local_maps(stretches, state.clusters, state.scans, values, settings, wanted=())
+
+    def cut(wanted: Collection[int] | None) -> list[LocalMap]:
+        clusters, scans = state.clusters, state.scans
+        return cut_local_maps(stretches, clusters, scans, values, settings, wanted=wanted)
+
+    maps = cut(())
     pairs = [
         (maps[one.first].cluster, maps[one.second].cluster) for one in by_place(maps, settings)
     ]
     wanted = {cluster for pair in pairs if pair not in tested for cluster in pair}
     if not wanted and not recognise:
         return None
+    plain = state.factors.unpacked()
+    places = _known_places((*plain, *state.closures), values, maps)
+    # Closures that there are do not make a drive one that needs no more of them.
+    alone = _known_places(plain, values, maps) if recognise and state.closures else places
+    if places is None or alone is None:
+        return None
+    recognise = recognise and not alone.certain(maps, settings)
+    if not wanted and not recognise:
+        return None
     try:
-        maps = cut_local_maps(
-            stretches,
-            state.clusters,
-            state.scans,
-            values,
-            settings,
-            wanted=None if recognise else wanted,
-        )
+        maps = cut(None if recognise else wanted)
     except OutputError:
         return None
-    everything = [*state.factors, *state.closures]
     closed = {ends(factor) for factor in state.closures}
-    found = _found(everything, maps, values, config, tested, recognise, most, closed)
-    if found is None:
-        return None
+    found = find_closures(
+        maps,
+        places.relative,
+        settings,
+        config.odometry,
+        recognise=recognise,
+        tested=tested,
+        most=most,
+        closed=closed,
+    )
     more = _closed(state, maps, found, values, config, '')
     return replace(more, looked=Looked(tuple(stretches), found.tested))
 
@@ -202,37 +222,15 @@ def _library_note(stretches: Sequence[Stretch], settings: ClosureSettings) -> st
     return '' if short or can_recognise() else NO_LIBRARY
 
 
-def _found(
-    factors: Sequence[Factor],
-    maps: Sequence[LocalMap],
-    values: gtsam.Values,
-    config: Config,
-    tested: Tested = NOT_TESTED,
-    recognise: bool = True,
-    most: float = math.inf,
-    closed: Collection[Pair] = (),
-) -> Found | None:
-    """Closures among local maps; None where it cannot be told what is known already."""
+def _known_places(
+    factors: Sequence[Factor], values: gtsam.Values, maps: Sequence[LocalMap]
+) -> KnownPlaces | None:
+    """Where the local maps lie; None where it cannot be told what is known already."""
     try:
-        covariances = RelativeCovariances((factor.factor for factor in factors), values)
+        return KnownPlaces(factors, values, maps)
     except RuntimeError:
         # A singular system: without knowing what is known, no closure can be held against it.
         return None
-
-    def relative(first: LocalMap, second: LocalMap) -> Known:
-        covariance = covariances.relative(pose_key(first.cluster), pose_key(second.cluster))
-        return Known(first.T_map_base.between(second.T_map_base), covariance)
-
-    return find_closures(
-        maps,
-        relative,
-        config.closure,
-        config.odometry,
-        recognise=recognise,
-        tested=tested,
-        most=most,
-        closed=closed,
-    )
 
 
 def _closed(
@@ -253,7 +251,8 @@ def _closed(
         )
         for one in found.closures
     )
-    solved = solve_with_closures([factor.factor for factor in state.factors], factors, values)
+    plain = [factor.factor for factor in state.factors.unpacked()]
+    solved = solve_with_closures(plain, factors, values)
     refused = found.refused + Counter(refuted=len(factors) - len(solved.factors))
     return replace(
         solved,

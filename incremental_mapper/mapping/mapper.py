@@ -275,7 +275,7 @@ class Mapper:
         clusters = tuple(self._state.clusters)
         return MapResult(
             clusters=clusters,
-            factors=(*self._state.factors, *closed.factors),
+            factors=(*self._state.factors.unpacked(), *closed.factors),
             values=values,
             trajectory=trajectory_of(clusters, values),
             scans=tuple(self._state.scans),

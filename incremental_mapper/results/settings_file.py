@@ -16,6 +16,7 @@ from incremental_mapper.results.survey_text import clock_text, rate_text, sensor
 from incremental_mapper.settings import merge
 
 _INDENT = '  '
+IDENTITY = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
 
 def refuse_existing(path: Path, force: bool) -> None:
@@ -98,12 +99,12 @@ def _sensors(survey: Survey) -> tuple[Tree, dict[str, str]]:
             if sample.topic
             else 'in a folder there are none; "convert" writes this one'
         )
-        known = not sample.origin.startswith('nowhere')
         frame = f', frame {sample.frame}' if sample.frame else ''
         comments[f'{place}.T_base_sensor'] = (
             f'from {sample.origin}{frame}'
-            if known
-            else f'NOT KNOWN{frame}: set x, y, z, qx, qy, qz, qw of the sensor in base_link'
+            if _is_placed(sample)
+            else f'NOT KNOWN{frame}: set x, y, z, qx, qy, qz, qw of the sensor in base_link; as '
+            'long as it is not set, what the data show of it is used'
         )
         clock = clock_text(sample)
         comments[f'{place}.time_offset'] = (
@@ -112,16 +113,21 @@ def _sensors(survey: Survey) -> tuple[Tree, dict[str, str]]:
     return {'lidars': lidars, **others}, comments
 
 
+def _is_placed(sample: SensorSample) -> bool:
+    """Whether anything tells where a sensor is."""
+    return not sample.origin.startswith('nowhere')
+
+
 def _section(survey: Survey, sample: SensorSample) -> Tree:
-    """Topic, extrinsics and offset of a sensor, as they are in force."""
+    """Topic, extrinsics and offset of a sensor, as they are in force; unknown ones are None."""
     info, name = survey.info, sample.sensor
     lidar = sample.kind is SensorKind.LIDAR
     owner = info.settings.get('lidars', {}) if lidar else info.settings
     own = owner.get(name, {})
-    pose = own.get('T_base_sensor', (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0))
+    pose = own.get('T_base_sensor', IDENTITY)
     return {
         'topic': sample.topic or TOPICS.get(name, ''),
-        'T_base_sensor': [float(number) for number in pose],
+        'T_base_sensor': [float(number) for number in pose] if _is_placed(sample) else None,
         'time_offset': survey.sensor(name).time_offset,
     }
 
@@ -145,6 +151,8 @@ def _lines(
             yield f'{indent}{name}:' + (f'  # {comment}' if comment else '')
             yield from _lines(value, comments, f'{above}{name}.', depth + 1)
             continue
-        text = yaml.safe_dump(value, default_flow_style=True, width=10_000).strip()
+        # A setting that a file names is not questioned: what is not known may not stand in it.
+        out, known = ('# ', list(IDENTITY)) if value is None else ('', value)
+        text = yaml.safe_dump(known, default_flow_style=True, width=10_000).strip()
         text = text.removesuffix('...').strip()
-        yield f'{indent}{name}: {text}' + (f'  # {comment}' if comment else '')
+        yield f'{indent}{out}{name}: {text}' + (f'  # {comment}' if comment else '')

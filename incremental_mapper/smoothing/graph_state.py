@@ -12,6 +12,7 @@ from scipy.cluster.hierarchy import DisjointSet
 
 from incremental_mapper.candidates.model import Cluster, CoreMeasurement
 from incremental_mapper.config import MOST_SUBMAP_SCANS
+from incremental_mapper.graph.factor_archive import FactorArchive
 from incremental_mapper.graph.factors import BETWEEN_STATES, Factor
 from incremental_mapper.graph.frontier import Frontier
 from incremental_mapper.map.store import MemoryStore, PointStore, StoredPoints
@@ -131,7 +132,7 @@ class GraphState:
 
     store: PointStore = field(default_factory=MemoryStore)
     clusters: list[PlacedCluster] = field(default_factory=list)
-    factors: list[Factor] = field(default_factory=list)
+    factors: FactorArchive = field(default_factory=FactorArchive)
     scans: list[PlacedScan] = field(default_factory=list)
     recent: Recent = field(default_factory=recent_scans)
     fixes: list[PlacedFix] = field(default_factory=list)
@@ -152,6 +153,10 @@ class GraphState:
     factor_counts: Counter[str] = field(default_factory=Counter)
     inertial: set[int] = field(default_factory=set)
     biased: set[int] = field(default_factory=set)
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.factors, FactorArchive):
+            self.factors = FactorArchive(self.factors)
 
     # --- what it is asked
 
@@ -315,7 +320,7 @@ class GraphState:
             prior: The newest part.
             values: The variables that have left it.
         """
-        self.factors = list(factors)
+        self.factors = FactorArchive(factors)
         self.prior, self.values = prior, values
         self.last_velocity = T_enu_map.rotation().rotate(self.last_velocity)
         self.enu_offset = np.zeros(3)
@@ -340,7 +345,7 @@ class GraphState:
             values: The variables that have left it.
         """
         self.factor_counts = Counter(str(factor.kind) for factor in factors)
-        self.factors, self.fixes = list(factors), list(fixes)
+        self.factors, self.fixes = FactorArchive(factors), list(fixes)
         self.prior, self.values = prior, values
         self.enu_offset, self.georeferenced = offset, False
         self.corrections += 1

@@ -39,7 +39,8 @@ Spot: TypeAlias = tuple[float, float]
 ROWS = {'pose': 0.0, 'velocity': -1.2, 'bias': -2.4}
 """Height of each kind of variable; arcs of odometry rise above the poses."""
 ROW_NAMES = {'pose': 'X  pose', 'velocity': 'V  velocity', 'bias': 'B  bias'}
-FIRST_SENSOR_ROW = -3.5
+FIRST_SENSOR_ROW = -1.1
+"""How far below the lowest row of variables."""
 SENSOR_ROW_STEP = 0.55
 LOWEST_ARC, ARC_STEP = 0.75, 0.62
 BIAS_RAIL = 0.3
@@ -56,7 +57,8 @@ class _Canvas:
     ``places`` and ``spots`` are where clusters (seconds since ``origin``) and variables (the same
     and a height) are drawn; ``origin`` is the stamp of the graph's first cluster in nanoseconds.
     ``node`` is the diameter of a variable in pixels, ``pixel`` the seconds that a pixel is wide.
-    ``sensors`` has the heights of the sensors' rows, ``colours`` their colours.
+    ``kinds`` has the heights of the variables' rows by their names, ``sensors`` those of the
+    sensors' rows, ``colours`` their colours.
     """
 
     axes: 'Axes'
@@ -66,6 +68,7 @@ class _Canvas:
     node: float
     places: dict[int, float]
     spots: dict[str, Spot]
+    kinds: dict[str, float]
     sensors: dict[str, float]
     lidars: list[str]
     colours: dict[str, str]
@@ -133,7 +136,12 @@ def graph_figure(
     origin = first_stamp(graph, start_ns) if origin is None else origin
     shown = paint_graph(axes, graph, start_ns, end_ns, look, origin)
     span = [f'{(stamp - origin) / NANOSECONDS:.2f} s' for stamp in (start_ns, end_ns)]
-    facts = f'{shown.clusters} clusters, {shown.variables} variables, {shown.factors} factors'
+    counts = {
+        'cluster': shown.clusters,
+        'variable': shown.variables,
+        'factor': shown.factors,
+    }
+    facts = ', '.join(f'{count} {name}{"s" * (count != 1)}' for name, count in counts.items())
     title(figure, 'Factor graph', f'{facts} between {span[0]} and {span[1]}', look)
     if look.heading:
         add_graph_legend(figure, [graph], look)
@@ -194,9 +202,10 @@ def _make_canvas(
     start_ns, end_ns = span
     # Sensors of the whole graph, so that pictures of different spans have the same rows.
     lidars, others = sensor_names(graph)
-    rows = {
-        name: FIRST_SENSOR_ROW - SENSOR_ROW_STEP * row for row, name in enumerate(lidars + others)
-    }
+    there = {item['kind'] for item in graph['variables']} | {'pose'}
+    kinds = {ROW_NAMES[kind]: height for kind, height in ROWS.items() if kind in there}
+    highest = min(kinds.values()) + FIRST_SENSOR_ROW
+    rows = {name: highest - SENSOR_ROW_STEP * row for row, name in enumerate(lidars + others)}
     colours = sensor_colours(lidars, others, look.theme)
     pixel = (end_ns - start_ns) / NANOSECONDS / axes_pixels(axes)[0]
     stamps = np.array(sorted(item['stamp_ns'] for item in clusters), dtype=np.int64)
@@ -209,12 +218,12 @@ def _make_canvas(
     spots = {
         item['key']: (places[item['cluster']], ROWS[item['kind']]) for item in graph['variables']
     }
-    return _Canvas(axes, look, origin, pixel, node, places, spots, rows, lidars, colours)
+    return _Canvas(axes, look, origin, pixel, node, places, spots, kinds, rows, lidars, colours)
 
 
 def _draw_samples(canvas: _Canvas, stamps: Sequence[int]) -> None:
     """A row of ticks below the other sensors."""
-    low = min(canvas.sensors.values(), default=FIRST_SENSOR_ROW)
+    low = min((*canvas.sensors.values(), *canvas.kinds.values()))
     canvas.sensors['imu'] = low - SENSOR_ROW_STEP
     canvas.colours['imu'] = canvas.theme.orange
     canvas.axes.vlines(
@@ -228,7 +237,7 @@ def _draw_clusters(canvas: _Canvas, clusters: Sequence[Record]) -> None:
     from matplotlib.patches import FancyBboxPatch
 
     ordered = sorted(clusters, key=lambda item: int(item['stamp_ns']))
-    bottom = min(canvas.sensors.values(), default=ROWS['bias']) - 0.3
+    bottom = min((*canvas.sensors.values(), *canvas.kinds.values())) - 0.3
     half = canvas.node * 0.68 * canvas.pixel
     edges = [
         (
@@ -366,8 +375,8 @@ def _finish(canvas: _Canvas, start_ns: int, end_ns: int) -> None:
     axes = canvas.axes
     top = LOWEST_ARC + ARC_STEP * max(len(canvas.lidars) - 1, 0) + 0.3
     axes.set_xlim(canvas.seconds(start_ns), canvas.seconds(end_ns))
-    axes.set_ylim(min(canvas.sensors.values(), default=ROWS['bias']) - 0.45, top)
-    rows = {ROW_NAMES[kind]: height for kind, height in ROWS.items()} | canvas.sensors
+    rows = canvas.kinds | canvas.sensors
+    axes.set_ylim(min(rows.values()) - 0.45, top)
     axes.set_yticks(list(rows.values()), labels=list(rows))
     axes.set_xlabel('seconds since the first cluster')
     plain(axes, canvas.look)

@@ -18,6 +18,8 @@ Record: TypeAlias = Mapping[str, Any]
 
 GRAPH_SECONDS = 1.5
 """Length of the stretch of graph that is drawn unless another is asked for: more is a blur."""
+FEWEST_CLUSTERS = 6
+"""Of a stretch that nobody chose: keyframes are seconds apart."""
 
 
 def first_stamp(graph: Record, default: int) -> int:
@@ -30,23 +32,31 @@ def typical_stretch(graph: Record, seconds: float) -> tuple[int, int]:
 
     Args:
         graph: The layout of ``graph.json``, with at least one cluster.
-        seconds: How long the stretch is.
+        seconds: How long the stretch is; longer where hardly any clusters are in it.
 
     Returns:
         Its start and end in nanoseconds.
     """
-    stamps = [item['stamp_ns'] for item in graph['clusters']]
+    stamps = np.sort([int(item['stamp_ns']) for item in graph['clusters']])
     fixes = [
         member['stamp_ns']
         for item in graph['clusters']
         for member in item['members']
         if member['kind'] == 'gnss'
     ]
-    first, last, length = min(stamps), max(stamps), round(seconds * NANOSECONDS)
+    first, last, length = int(stamps[0]), int(stamps[-1]), round(seconds * NANOSECONDS)
     middle = (first + last) // 2
     centre = min(fixes, key=lambda stamp: abs(stamp - middle), default=middle)
     start = max(min(centre - length // 2, last - length), first)
-    return start, start + length
+    inside = int(np.sum((stamps >= start) & (stamps <= start + length)))
+    if inside >= min(FEWEST_CLUSTERS, len(stamps)):
+        return start, start + length
+    # As many as there should be, where they are the nearest to each other.
+    more = min(FEWEST_CLUSTERS, len(stamps)) - 1
+    spans = stamps[more:] - stamps[: len(stamps) - more]
+    begin = int(np.argmin(spans))
+    margin = max(int(spans[begin]) // 10, (length - int(spans[begin])) // 2)
+    return int(stamps[begin]) - margin, int(stamps[begin + more]) + margin
 
 
 def sensor_names(graph: Record) -> tuple[list[str], list[str]]:

@@ -63,6 +63,12 @@ def test_the_place_of_the_antenna_is_found(error, rate):
     assert f'gnss.T_base_sensor: {place}' in found.remedy
 
 
+def test_what_is_known_to_half_a_metre_is_odometry_that_is_wrong():
+    for error in ((4.0, 0.0), (0.0, 6.0), (30.0, 80.0)):
+        one = track(error, noise=3.0, rate=1.0)
+        assert antenna_finding('gnss', turned(one, 0.4), ARM, early=True) is None
+
+
 @pytest.mark.parametrize('drift', [0.0, -0.05])
 @pytest.mark.parametrize('late', [0.0, 0.4])
 @pytest.mark.parametrize('noise', [0.03, 1.0])

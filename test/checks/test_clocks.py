@@ -106,6 +106,21 @@ def test_spans_alone_tell_time_scales(form, seconds, length):
     assert offsets_of(found) == {'left': -seconds, 'right': -seconds}
 
 
+@pytest.mark.parametrize('form', [copied, folder])
+@pytest.mark.parametrize(('span', 'words'), [(3600, 'hour'), (86400, 'day'), (7 * 86400, 'week')])
+def test_spans_tell_clocks_that_begin_again_with_the_hour(form, span, words):
+    seconds = START // NS % span - START // NS
+    found = clock_findings(form(clocks({'left': seconds, 'right': seconds})))
+    assert offsets_of(found) == {'left': -seconds, 'right': -seconds}
+    assert f'seconds of the {words}' in found[0].text
+
+
+def test_spans_take_no_clock_from_power_up_for_one_that_begins_again():
+    seconds = 700.0 - START / NS
+    found = clock_findings(folder(clocks({'left': seconds, 'right': seconds})))
+    assert {finding.rule for finding in found} == {'no_common_time'}
+
+
 def test_the_leap_seconds_are_those_of_the_year():
     shift = (1_317_042_504 - 1_544_580_000) * NS  # September 2011
     made = [

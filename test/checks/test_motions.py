@@ -15,6 +15,7 @@ from incremental_mapper.checks.motions import (
     Track,
     angle,
     distance_findings,
+    distance_ratios,
     motion_findings,
 )
 
@@ -100,6 +101,27 @@ def test_ways_by_lidar_and_fixes_are_compared():
     assert '0.3' in short.text
     (long,) = distance_findings([motions(scale=2.5)], track(8))
     assert long.rule == 'distance_disagrees'
+
+
+@pytest.mark.parametrize(('scale', 'told'), [(0.88, True), (1.12, True), (0.95, False)])
+def test_ways_that_differ_by_a_tenth_all_along_are_told(scale, told):
+    found = distance_findings([motions(scale=scale, seconds=20.0)], track(20))
+    assert [item.rule for item in found] == ['distance_disagrees'] * told
+
+
+def test_a_stop_in_which_nothing_is_matched_takes_no_stretch_away_but_its_own():
+    driven = motions(scale=0.5, seconds=20.0)
+    keep = (np.arange(200) < 80) | (np.arange(200) > 100)
+    stopped = Motions('left', driven.starts[keep], driven.ends[keep], driven.translations[keep])
+    assert [item.rule for item in distance_findings([stopped], track(20))]
+    assert distance_ratios(stopped, track(20)) == pytest.approx(0.5, abs=0.02)
+
+
+def test_a_tenth_that_is_chance_is_not():
+    uneven = motions(scale=0.88, seconds=20.0)
+    wave = 1.0 + 0.3 * np.sin(2.0 * np.arange(len(uneven.starts)) / len(uneven.starts) * np.pi)
+    poor = Motions('left', uneven.starts, uneven.ends, uneven.translations * wave[:, None])
+    assert distance_findings([poor], track(20)) == []
 
 
 def test_fixes_that_are_as_uncertain_as_the_way_is_long_tell_nothing():

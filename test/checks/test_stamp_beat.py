@@ -21,6 +21,15 @@ def test_an_even_beat_scatters_by_nothing_however_fast_and_with_gaps(period, los
     assert beat_scatter(np.delete(whole, sorted(lost))) == pytest.approx(0.0, abs=1e-6)
 
 
+@pytest.mark.parametrize('share', [2, 3])
+def test_every_second_or_third_scan_may_be_lost(share):
+    whole = stamps(count=36)
+    for start in range(share):
+        assert beat_scatter(np.delete(whole, slice(start, None, share))) == pytest.approx(
+            0.0, abs=1e-6
+        )
+
+
 @pytest.mark.parametrize('jitter', [7.0, 10.0])
 def test_times_of_arrival_scatter_by_their_jitter(jitter):
     scatters = [beat_scatter(stamps(jitter=jitter, seed=seed)) for seed in range(200)]

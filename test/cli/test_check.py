@@ -119,13 +119,7 @@ def test_the_user_s_own_settings_stay(check, light_bag, tmp_path, settings):
     assert f'voxel_size: 0.5  # from {own}' in path.read_text()
 
 
-TILTED = pytest.mark.xfail(
-    strict=True,
-    reason='map mends the tilt of a LiDAR that nothing places; the file that check writes names it',
-)
-
-
-@pytest.mark.parametrize('kind', ['bag', 'folder', pytest.param('unknown', marks=TILTED)])
+@pytest.mark.parametrize('kind', ['bag', 'folder', 'unknown'])
 def test_the_file_maps_as_no_file_does(check, run_map, light_bag, light_drive, tmp_path, kind):
     """Without the bag's own settings file too: then the LiDARs' extrinsics are not known."""
     source: Path = light_drive if kind == 'folder' else light_bag

@@ -8,7 +8,6 @@ import pytest
 from town import pose, seen_points, town, wall
 
 from incremental_mapper.candidates.model import Cluster, CoreKind, CoreMeasurement
-from incremental_mapper.closures import search
 from incremental_mapper.closures.candidate_pairs import (
     Candidate,
     Known,
@@ -75,7 +74,7 @@ def test_what_contradicts_the_known_pose_is_none_however_well_it_fits(maps):
     far = Known(pose(40.0, 5.0, 178.0), TIGHT)
     candidate = by_place(maps[:2], SETTINGS)[0]
     assert not conceivable(candidate, far) and conceivable(candidate, known(maps, 0, 1, LOOSE))
-    found = find_closures(maps[:2], lambda *_: far, SETTINGS, ODOMETRY)
+    found = find_closures(maps[:2], lambda *_: far, SETTINGS, ODOMETRY, recognise=False)
     assert found.closures == () and found.refused == {'improbable': 1} and found.tested == {}
 
 
@@ -131,13 +130,7 @@ def test_no_more_pairs_are_registered_than_wanted_and_none_twice(maps):
     assert first.refused == {LEFT: 1, 'improbable': 1, 'alone': 1} and set(first.tested) == {(1, 2)}
     without = [replace(one, points=np.zeros((0, 3))) for one in maps]
     again = find_closures(
-        without,
-        lambda *_: loose,
-        SETTINGS,
-        ODOMETRY,
-        recognise=False,
-        tested=first.tested,
-        most=0,
+        without, lambda *_: loose, SETTINGS, ODOMETRY, recognise=False, tested=first.tested, most=0
     )
     assert again.refused == first.refused and again.tested == first.tested
 
@@ -154,14 +147,9 @@ def test_what_registration_finds_improbable_is_not_registered_again(maps):
     # Where what is known is known by the closure itself, it is not asked.
     asked = []
     held = find_closures(
-        maps[:2],
-        lambda *pair: asked.append(pair),
-        SETTINGS,
-        ODOMETRY,
-        recognise=False,
-        tested=first.tested,
-        closed={(1, 2)},
-    )
+        maps[:2], lambda *pair: asked.append(pair), SETTINGS, ODOMETRY, recognise=False,
+        tested=first.tested, closed={(1, 2)},
+    )  # fmt: skip
     assert asked == [] and held.refused == {'alone': 1}
 
 
@@ -221,27 +209,6 @@ def test_places_are_recognised_wherever_they_are_thought_to_lie():
     (found,) = by_looks(lost, SETTINGS)
     off = gtsam.Pose3.Logmap(moved.between(found.T_first_second))
     assert np.abs(off[3:5]).max() < 2.0 and abs(off[2]) < 0.05
-
-
-@pytest.mark.parametrize(('sigma', 'asked'), [(0.5, 0), (1.5, 1)], ids=['known', 'drifted'])
-def test_looks_are_asked_where_a_place_may_lie_further_off_than_its_neighbours(
-    monkeypatch, sigma, asked
-):
-    calls = []
-    monkeypatch.setattr(search, 'can_recognise', lambda: True)
-    monkeypatch.setattr(search, 'by_looks', lambda *_: calls.append(1) or [])
-    sure = np.diag(np.square([0.01] * 3 + [sigma] * 3))
-    way = straight(4, 1000.0)
-
-    def relative(one, other):
-        return Known(one.T_map_base.between(other.T_map_base), sure)
-
-    find_closures(way, relative, SETTINGS, ODOMETRY)
-    assert len(calls) == asked
-    # Drives whose frames have nothing to do with each other are told apart by looks alone.
-    find_closures(way, relative, SETTINGS, ODOMETRY, placed=False)
-    find_closures(way, lambda *_: None, SETTINGS, ODOMETRY)
-    assert len(calls) == asked + 2
 
 
 def test_maps_that_share_a_strip_are_not_drawn_over_each_other():

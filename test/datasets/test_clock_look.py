@@ -11,7 +11,7 @@ from rosbags.rosbag2 import Writer as Writer2
 
 from incremental_mapper.checks.finding import Severity
 from incremental_mapper.datasets.bag_files import open_bag
-from incremental_mapper.datasets.clock_look import peek_header
+from incremental_mapper.datasets.headers import peek_header
 from incremental_mapper.datasets.kaist import KaistSource
 from incremental_mapper.datasets.open import open_source
 

@@ -136,3 +136,17 @@ def test_times_in_two_parts_are_no_sweep(share, kept, absurd):
     assert len(scan.points) == (320 if kept else 400)
     if kept:
         np.testing.assert_allclose(scan.point_times, times[80:], atol=1e-6)
+
+
+def test_names_of_fields_in_capitals():
+    table = {name.upper(): column for name, column in xyz(points=MANY).items()}
+    scan = scan_from_message(cloud(table | {'T': ('f4', np.linspace(0.0, 0.1, 400))}), 'left')
+    np.testing.assert_allclose(scan.points, MANY, rtol=1e-6)
+    assert scan.point_times is not None and words(scan) == ['field_names']
+
+
+def test_small_letters_come_before_capitals():
+    other = {name.upper(): column for name, column in xyz(points=MANY + 1.0).items()}
+    scan = scan_from_message(cloud(other | xyz(points=MANY)), 'left')
+    np.testing.assert_allclose(scan.points, MANY, rtol=1e-6)
+    assert words(scan) == []

@@ -6,12 +6,8 @@ import pytest
 from field import CRASH, FALSE, FINE, NOT_MENDED, SILENT, Outcome, judge, run_map
 from lies.lie import LIES, Lie, Verdict
 
-DEGREES = pytest.mark.xfail(
-    strict=True,
-    reason='in two seconds, sweeps that rates in the wrong unit deskew match too badly to tell it',
-)
 SOME = (
-    pytest.param('in_g_and_degrees', marks=DEGREES),
+    'in_g_and_degrees',
     'wrong_topic',
     'equal_extrinsics',
     'wrong_endianness',

@@ -9,6 +9,8 @@ import pytest
 from town import pose, seen_points, town
 
 from incremental_mapper.candidates.model import Cluster, CoreKind, CoreMeasurement
+from incremental_mapper.closures.candidate_pairs import can_recognise
+from incremental_mapper.closures.local_maps import cut_local_maps, cut_way
 from incremental_mapper.config import Config
 from incremental_mapper.graph.factors import (
     FactorKind,
@@ -18,8 +20,11 @@ from incremental_mapper.graph.factors import (
     pose_sigmas,
 )
 from incremental_mapper.map.store import MemoryStore
+from incremental_mapper.mapping.known_places import KnownPlaces
 from incremental_mapper.mapping.loop_closing import close_loops, solve_with_closures
+from incremental_mapper.smoothing.batch import make_graph, optimize
 from incremental_mapper.smoothing.graph_state import GraphState, PlacedCluster, PlacedScan
+from incremental_mapper.smoothing.relative_covariance import RelativeCovariances
 from incremental_mapper.variables import pose_key
 
 SCANS_EVERY = 4
@@ -85,6 +90,54 @@ def test_a_way_back_takes_the_drift_away(drive):
         off = gtsam.Pose3.Logmap(first.between(second).between(one.factor.measured()))
         assert np.abs(off[3:]).max() < 0.1 and np.abs(off[:3]).max() < 0.005
     assert len(state.factors) == factors and state.all_values().equals(before, 0.0)
+
+
+def with_fixes(state, true, every=10):
+    """The same drive, whose poses are known to 0.3 m now and then; its values are solved."""
+    fixes = [
+        pose_prior(pose_key(number), true[number], pose_sigmas(0.3, 0.1), number)
+        for number in range(0, len(true), every)
+    ]
+    factors = [*state.factors, *fixes]
+    graph = make_graph(factor.factor for factor in factors)
+    values = optimize(graph, state.all_values(), 100).values
+    clusters, scans = state.clusters, state.scans
+    return GraphState(factors=factors, clusters=clusters, scans=scans, values=values)
+
+
+def test_what_a_drive_knows_of_its_places(drive):
+    state, true = drive
+    held = with_fixes(state, true)
+    for known, certain in ((state, False), (held, True)):
+        values = known.all_values()
+        stretches = cut_way(known.clusters, values, 20.0)
+        maps = cut_local_maps(
+            stretches, known.clusters, known.scans, values, SETTINGS.closure, wanted=()
+        )
+        places = KnownPlaces(known.factors, values, maps)
+        assert places.certain(maps, SETTINGS.closure) is certain
+        near = SETTINGS.closure.model_copy(update={'radius': 10.0})
+        assert not places.certain(maps, near)  # neighbours may lie that far apart
+        marginals = gtsam.Marginals(
+            make_graph(factor.factor for factor in known.factors), values
+        ).marginalCovariance(pose_key(80))
+        expected = np.sqrt(np.linalg.eigvalsh(marginals[3:, 3:])[-1])
+        plain = (factor.factor for factor in known.factors)
+        position = RelativeCovariances(plain, values, [pose_key(80)])
+        assert position.position(pose_key(80)) == pytest.approx(expected, rel=1e-3)
+
+
+def test_places_that_fixes_hold_are_not_recognised_by_their_looks(drive):
+    state, true = drive
+    held = with_fixes(state, true)
+    near = SETTINGS.model_copy(
+        update={'closure': SETTINGS.closure.model_copy(update={'min_travel': 140.0})}
+    )
+    # All but the ends are too short a way from each other: what is compared lies side by side.
+    closed = close_loops(held, held.all_values(), near)
+    assert closed.searched == 1
+    if can_recognise():
+        assert close_loops(state, state.all_values(), near).searched > 1
 
 
 def test_switched_off_it_leaves_all_as_it_is(drive):

@@ -14,6 +14,7 @@ from full_disk import largest_file
 from incremental_mapper.cli.main import main
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.errors import InputError, OutputError
+from incremental_mapper.graph import factor_archive
 from incremental_mapper.graph.factors import FactorKind
 from incremental_mapper.mapping.georeferencing import without_fixes
 from incremental_mapper.mapping.mapper import Mapper
@@ -98,7 +99,12 @@ def test_recovered_map_is_the_one_that_was_made(mapped):
     assert len(found.result.clusters) > 20 and len(found.result.fixes) > 0
 
 
-def test_graph_without_fixes_that_proved_wrong_comes_back(light_drive, tmp_path):
+@pytest.mark.parametrize(('newest', 'block'), [(2048, 64), (8, 4)])
+def test_graph_without_fixes_that_proved_wrong_comes_back(
+    light_drive, tmp_path, monkeypatch, newest, block
+):
+    monkeypatch.setattr(factor_archive, 'NEWEST', newest)  # all others are packed
+    monkeypatch.setattr(factor_archive, 'BLOCK', block)
     taken = []
 
     def take_out(mapper, config):

@@ -4,6 +4,7 @@ import gtsam
 import numpy as np
 import pytest
 
+from incremental_mapper.smoothing import relative_covariance
 from incremental_mapper.smoothing.relative_covariance import RelativeCovariances
 from incremental_mapper.variables import pose_key
 
@@ -31,7 +32,8 @@ def test_it_is_propagated_along_a_chain_that_nothing_holds():
     for _ in range(3):
         moved = STEP.inverse().AdjointMap()
         expected = moved @ expected @ moved.T + NOISE
-    found = RelativeCovariances(factors, values).relative(pose_key(0), pose_key(3))
+    known = RelativeCovariances(factors, values, [pose_key(0), pose_key(3)])
+    found = known.relative(pose_key(0), pose_key(3))
     assert found == pytest.approx(expected, rel=1e-3, abs=1e-6)
 
 
@@ -48,5 +50,17 @@ def test_it_is_that_of_the_marginals_where_those_can_be_had():
     back = values.atPose3(second).between(values.atPose3(first)).AdjointMap()
     turn = np.hstack([-back, np.eye(6)])
     whole = np.block([[joint.at(i, j) for j in (first, second)] for i in (first, second)])
-    found = RelativeCovariances([*factors, prior], values).relative(first, second)
+    found = RelativeCovariances([*factors, prior], values, [first, second]).relative(first, second)
     assert found == pytest.approx(turn @ whole @ turn.T, rel=1e-3, abs=1e-6)
+
+
+def test_parts_of_the_factors_make_the_same_whole_and_pairs_share_a_pose(monkeypatch):
+    factors, values = chain(8)
+    poses = [pose_key(i) for i in (0, 3, 7)]
+    whole = RelativeCovariances(factors, values, poses)
+    monkeypatch.setattr(relative_covariance, 'PART', 3)
+    parts = RelativeCovariances(factors, values, poses)
+    for first, second in ((0, 3), (3, 7), (0, 7), (7, 0)):
+        keys = pose_key(first), pose_key(second)
+        # Without an anchor they are small differences of large numbers.
+        assert parts.relative(*keys) == pytest.approx(whole.relative(*keys), rel=1e-4, abs=1e-7)

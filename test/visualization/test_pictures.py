@@ -20,7 +20,11 @@ from incremental_mapper.visualization.figure import (
     svg_for_page,
 )
 from incremental_mapper.visualization.graph_picture import draw_graph, graph_figure
-from incremental_mapper.visualization.graph_view import closure_ends, unconnected_variables
+from incremental_mapper.visualization.graph_view import (
+    closure_ends,
+    typical_stretch,
+    unconnected_variables,
+)
 from incremental_mapper.visualization.pictures import (
     WIDE,
     draw_map,
@@ -353,3 +357,49 @@ def test_missing_matplotlib_is_explained(tmp_path: Path, monkeypatch: pytest.Mon
 
     with pytest.raises(OutputError, match=r'incremental_mapper\[report\]'):
         draw_map(tmp_path / 'a.png', street(), drive())
+
+
+def keyframes(*seconds: float) -> dict[str, Any]:
+    """A graph of poses alone, of a LiDAR without anything beside it."""
+    stamps = [START + round(second * NANOSECONDS) for second in seconds]
+    return {
+        'clusters': [
+            {
+                **{name: stamp for name in ('stamp_ns', 'first_ns', 'last_ns')},
+                'id': number,
+                'window': number,
+                'members': [{'sensor': 'top', 'kind': 'lidar', 'stamp_ns': stamp}],
+            }
+            for number, stamp in enumerate(stamps)
+        ],
+        'variables': [
+            {'key': f'x{number}', 'kind': 'pose', 'cluster': number}
+            for number in range(len(stamps))
+        ],
+        'factors': [],
+    }
+
+
+def test_a_stretch_that_nobody_chose_has_some_clusters_in_it() -> None:
+    sparse = keyframes(0.0, 6.0, 8.0, 8.4, 8.8, 9.2, 9.6, 10.0, 12.0)
+    start, end = ((stamp - START) / NANOSECONDS for stamp in typical_stretch(sparse, 1.5))
+    assert (start, end) == pytest.approx((7.8, 10.2))
+    few = keyframes(1.0, 1.2, 1.4)
+    start, end = ((stamp - START) / NANOSECONDS for stamp in typical_stretch(few, 1.5))
+    assert (start, end) == pytest.approx((1.0, 2.5))
+    dense = keyframes(*np.arange(100) / 10.0)
+    start, end = ((stamp - START) / NANOSECONDS for stamp in typical_stretch(dense, 1.5))
+    assert (start, end) == pytest.approx((4.2, 5.7))
+
+
+def test_a_graph_without_velocities_has_no_row_for_them() -> None:
+    graph = keyframes(0.0, 0.4)
+    figure, _ = graph_figure(graph, START, START + NANOSECONDS, Look())
+    axes = figure.axes[0]
+    assert [label.get_text() for label in axes.get_yticklabels()] == ['X  pose', 'top']
+    assert '2 clusters, 2 variables, 0 factors' in ' '.join(
+        text.get_text() for text in figure.texts
+    )
+    one = keyframes(0.0)
+    figure, _ = graph_figure(one, START, START + NANOSECONDS, Look())
+    assert '1 cluster, 1 variable, 0 factors' in ' '.join(text.get_text() for text in figure.texts)

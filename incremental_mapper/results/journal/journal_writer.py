@@ -288,7 +288,7 @@ class _Written:
         self.any = False
         self._clusters = self._scans = self._fixes = 0
         self._newest: PlacedCluster | None = None
-        self._factors: list[Factor] = []
+        self._factors: Sequence[Factor] = ()
         self._count = self._final = 0
         self._lag: set[int] = set()
         self._findings: Sequence[Finding] = ()

@@ -15,6 +15,7 @@ from incremental_mapper.blas import single_threaded_blas
 from incremental_mapper.checks.finding import Finding, Severity, ranked
 from incremental_mapper.config import Config
 from incremental_mapper.errors import ConfigError, InputError
+from incremental_mapper.graph.factor_archive import FactorArchive
 from incremental_mapper.graph.factors import Factor
 from incremental_mapper.map.store import MB, Points, PointsInFile, read_points
 from incremental_mapper.mapping.final_solve import final_values
@@ -173,7 +174,7 @@ class _Reading:
         offset = self.last['enu_offset']
         return GraphState(
             clusters=self.clusters,
-            factors=self.factors,
+            factors=FactorArchive(self.factors),
             scans=self.scans,
             fixes=self.fixes,
             values=values,
@@ -255,7 +256,7 @@ def _recovered(path: Path, reading: _Reading) -> Recovered:
     known = findings_of(begun['findings'])
     result = MapResult(
         clusters=clusters,
-        factors=(*state.factors, *closed.factors),
+        factors=(*state.factors.unpacked(), *closed.factors),
         values=values,
         trajectory=trajectory_of(clusters, values),
         scans=tuple(state.scans),
