@@ -103,8 +103,8 @@ def to_base(
     further = np.array(known, dtype=np.float32).reshape(len(known), len(scan.points))
     # A float32 resolves 80 m to 8 um, the sensor resolves 2 mm.
     matrix = T_base_lidar.astype(np.float32)
-    squares = np.float32(min_range) ** 2, np.float32(max_range) ** 2
-    means = voxel_means(_within(scan.points, further, matrix, *squares), voxel_size)
+    rows = _within(scan.points, further, matrix, float(min_range) ** 2, float(max_range) ** 2)
+    means = voxel_means(rows, voxel_size)
     return Sweep(
         scan.stamp,
         scan.sensor,
