@@ -149,15 +149,6 @@ def test_kernel_works_where_the_disk_is_full(monkeypatch):
     assert asked
 
 
-def test_processes_of_lidars_do_not_load_the_compiler():
-    out = run("""
-        import sys
-        import incremental_mapper.frontend.odometry_process
-        print('numba' in sys.modules)
-    """)
-    assert out.split() == ['False']
-
-
 @pytest.mark.parametrize(('patience', 'told'), [(0.0, 1), (60.0, 0)])
 def test_who_waits_for_the_compiler_is_told(monkeypatch, caplog, patience, told):
     monkeypatch.setattr(compiled, 'LONG', patience)
