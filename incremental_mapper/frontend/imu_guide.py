@@ -23,6 +23,8 @@ UNKNOWN_SPEED, MATCHED_SPEED = 20.0, 0.5
 """Standard deviation of a velocity, m/s, that nobody knows, and that one match told."""
 LEVELLED = 1.5
 """Standard deviation of gravity, m/s^2, by the mean force over a sweep: vehicles accelerate."""
+HARDEST = 40.0
+"""m/s^2 on the mean of some 50 ms that no vehicle feels, nor a hand: somebody knocked the IMU."""
 FORCE_NOISE = 0.3
 """m/s^2 by which the mean force between two scans is off: vibration, scale, and how well the
 samples between are known. It limits how far the velocity is believed over many scans."""
@@ -133,14 +135,15 @@ class ImuGuide:
             more: What else does.
 
         Returns:
-            The strip; None where there is a hole, or nothing to integrate.
+            The strip; None where there is a hole, nothing to integrate, or a knock.
         """
         if len(self._series.stamps) == 0:
             return None
         ends = () if sweep.times is None else (float(sweep.times.min()), float(sweep.times.max()))
         series = replace(self._series, gyro=self._series.gyro - self._bias)
         moments = (0.0, sweep.middle, *ends, *more)
-        return make_strip(series, sweep.stamp, moments, self._arm, self._max_gap)
+        strip = make_strip(series, sweep.stamp, moments, self._arm, self._max_gap)
+        return None if strip is None or strip.hardest() > HARDEST else strip
 
     def begin(self, strip: Strip, moment: float, twist: Twist | None) -> Momentum:
         """What is known at a moment, a node, without any momentum before.

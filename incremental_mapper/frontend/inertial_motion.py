@@ -16,6 +16,8 @@ from incremental_mapper.measurements import NANOSECONDS
 
 Array = NDArray[np.float64]
 
+BRIEF = 0.05
+"""Seconds over which a force is felt, and is no noise of a sample."""
 SMALL = 0.1
 """rad^2 below which three terms of a series tell sine and cosine to 1e-9."""
 
@@ -136,6 +138,18 @@ class Strip:
     def _node(self, moment: float) -> int:
         """The node at a moment."""
         return int(np.abs(self.seconds - moment).argmin())
+
+    def hardest(self) -> float:
+        """The largest mean of the specific force over ``BRIEF`` seconds or more, m/s^2."""
+        ends = np.searchsorted(self.seconds, self.seconds + BRIEF - 1e-9)
+        starts = np.flatnonzero(ends < len(self.seconds))
+        if len(starts) == 0:
+            starts, ends = np.zeros(1, dtype=np.intp), np.array([len(self.seconds) - 1])
+        else:
+            ends = ends[starts]
+        changes = self.velocities[ends] - self.velocities[starts]
+        passed = self.seconds[ends] - self.seconds[starts]
+        return float((np.linalg.norm(changes, axis=1) / passed).max())
 
     def mean_force(self, moment: float) -> Array:
         """Mean specific force (3,), m/s^2, over the strip in base_link's axes at a moment."""

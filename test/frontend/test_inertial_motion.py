@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from incremental_mapper.datasets.simulated.handheld import T_BASE_IMU, Walk
+from incremental_mapper.frontend.imu_guide import HARDEST
 from incremental_mapper.frontend.imu_preintegration import ImuSeries
 from incremental_mapper.frontend.inertial_motion import make_strip
 from incremental_mapper.geometry import pose_matrix
@@ -88,3 +89,13 @@ def test_way_of_a_leap_is_what_velocity_and_gravity_leave(walk):
 )
 def test_samples_that_do_not_cover_the_sweep_tell_nothing(walk, times):
     assert make_strip(series(walk, times), STAMP, MOMENTS, ARM, 0.1) is None
+
+
+@pytest.mark.parametrize(('samples', 'felt'), [(1, False), (8, True)], ids=['one', 'a_knock'])
+def test_a_force_is_felt_that_lasts_and_not_that_of_a_single_sample(samples, felt):
+    stamps = np.arange(0, 210_000_000, 10_000_000)
+    forces = np.tile([0.0, 0.0, 9.81], (len(stamps), 1))
+    forces[5 : 5 + samples, 0] = 100.0
+    series = ImuSeries(stamps, np.zeros((len(stamps), 3)), forces)
+    strip = make_strip(series, 0, (0.0, 0.2), np.zeros(3), 0.1)
+    assert strip is not None and (strip.hardest() > HARDEST) == felt
