@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from incremental_mapper.checks.finding import Finding, Severity
-from incremental_mapper.checks.sensor_clocks import SensorClock, listed, setting_line
+from incremental_mapper.checks.finding import Finding, Severity, listed
+from incremental_mapper.checks.sensor_clocks import SensorClock, setting_line
 from incremental_mapper.checks.time_scales import known_offset
 from incremental_mapper.checks.time_spans import span_findings
 from incremental_mapper.measurements import NANOSECONDS

@@ -1,9 +1,15 @@
 """What a rule found: something of a recording that is not as it says."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
+
+
+def listed(names: Sequence[str]) -> str:
+    """Names in words."""
+    *others, last = names
+    return f'{", ".join(others)} and {last}' if others else last
 
 
 class Severity(StrEnum):

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from incremental_mapper.checks.finding import Finding, Severity
-from incremental_mapper.checks.sensor_clocks import listed
+from incremental_mapper.checks.finding import Finding, Severity, listed
 from incremental_mapper.measurements import NANOSECONDS
 
 SILENCE = 1.0

@@ -1,6 +1,5 @@
 """What the rules on clocks look at: stamps of each sensor, and when its messages were recorded."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -84,9 +83,3 @@ def setting_line(clock: SensorClock, correction: int) -> tuple[str, Tree]:
     # As a double, seconds that count from power-up are exact to half a microsecond.
     seconds = (clock.offset + correction) / NANOSECONDS
     return f'{setting_name(clock.sensor)}: {seconds!r}', setting_tree(clock.sensor, seconds)
-
-
-def listed(names: Sequence[str]) -> str:
-    """Names in words."""
-    *others, last = names
-    return f'{", ".join(others)} and {last}' if others else last

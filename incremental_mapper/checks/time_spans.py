@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
-from incremental_mapper.checks.finding import Finding, Severity
-from incremental_mapper.checks.sensor_clocks import SensorClock, listed, setting_line
+from incremental_mapper.checks.finding import Finding, Severity, listed
+from incremental_mapper.checks.sensor_clocks import SensorClock, setting_line
 from incremental_mapper.checks.time_scales import known_offset
 from incremental_mapper.measurements import NANOSECONDS
 

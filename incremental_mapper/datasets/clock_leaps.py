@@ -15,7 +15,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from incremental_mapper.checks.finding import Finding, Severity
+from incremental_mapper.checks.finding import Finding, Severity, listed
 from incremental_mapper.datasets.headers import peek_header, stamped
 from incremental_mapper.measurements import NANOSECONDS
 
@@ -149,8 +149,6 @@ class ClockLeaps:
             by = next(iter(self.topics.values())).by
             why = ', as of a computer that learned the time, and each sensor goes on as before'
             return [_finding('all sensors', by, why)]
-        from incremental_mapper.checks.sensor_clocks import listed  # half a second, of the player
-
         sizes = {round(leap.by / NANOSECONDS) for leap in self.topics.values()}
         why = ' while the record times go on: a clock that was set, or that begins again from 0'
         found = []

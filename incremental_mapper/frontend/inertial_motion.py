@@ -141,12 +141,11 @@ class Strip:
 
     def hardest(self) -> float:
         """The largest mean of the specific force over ``BRIEF`` seconds or more, m/s^2."""
+        last = len(self.seconds) - 1
         ends = np.searchsorted(self.seconds, self.seconds + BRIEF - 1e-9)
-        starts = np.flatnonzero(ends < len(self.seconds))
-        if len(starts) == 0:
-            starts, ends = np.zeros(1, dtype=np.intp), np.array([len(self.seconds) - 1])
-        else:
-            ends = ends[starts]
+        # What is shorter as a whole is one stretch.
+        starts = np.arange(max(int((ends <= last).sum()), 1))
+        ends = np.minimum(ends[starts], last)
         changes = self.velocities[ends] - self.velocities[starts]
         passed = self.seconds[ends] - self.seconds[starts]
         return float((np.linalg.norm(changes, axis=1) / passed).max())

@@ -143,12 +143,7 @@ def _within(
 
     ``nearest`` and ``furthest`` are squares of ranges, ``matrix`` is T_base_lidar.
     """
-    count = 0
-    for i in range(len(points)):
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        if nearest <= x * x + y * y + z * z <= furthest:
-            count += 1
-    rows = np.empty((3 + len(further), count), dtype=np.float32)
+    rows = np.empty((3 + len(further), len(points)), dtype=np.float32)
     column = 0
     for i in range(len(points)):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
@@ -159,4 +154,4 @@ def _within(
             for k in range(len(further)):
                 rows[3 + k, column] = further[k, i]
             column += 1
-    return rows
+    return rows[:, :column].copy()

@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from statistics import median_low
 
-from incremental_mapper.checks.finding import Finding, Severity
-from incremental_mapper.checks.sensor_clocks import listed, setting_name, setting_tree
+from incremental_mapper.checks.finding import Finding, Severity, listed
+from incremental_mapper.checks.sensor_clocks import setting_name, setting_tree
 from incremental_mapper.measurements import NANOSECONDS
 
 FEWEST_STEPS = 8
