@@ -315,20 +315,21 @@ DRIVES = {
 """The unharmed drives: what each lie is told of."""
 
 
-def make_drive(kind: DriveKind, folder: Path, every: int = 8) -> Recording:
+def make_drive(kind: DriveKind, folder: Path, every: int = 8, seed: int = 11) -> Recording:
     """Simulate a drive and read it; of its points one in ``every`` is kept.
 
     Args:
         kind: Which one.
         folder: Where its KAIST folder and the bag made of it are, or are to be.
         every: How much its clouds are thinned, at random, for the points of a column come in turn.
+        seed: Of the simulation and the thinning.
     """
     kaist, bag = folder / 'kaist', folder / 'bag'
     if not bag.is_dir():
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
-        simulate(kaist, SimulationOptions(kind.scene, kind.motion, kind.seconds, seed=11))
-        rng = np.random.default_rng(11)
+        simulate(kaist, SimulationOptions(kind.scene, kind.motion, kind.seconds, seed=seed))
+        rng = np.random.default_rng(seed)
         for path in sorted((kaist / 'sensor_data').glob('VLP_*/*.bin')):
             points = np.fromfile(path, dtype='<f4').reshape(-1, 4)
             points[rng.random(len(points)) < 1.0 / every].tofile(path)

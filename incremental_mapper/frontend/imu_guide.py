@@ -199,12 +199,12 @@ class ImuGuide:
 
     def judge(self, motion: gtsam.Pose3, expected: gtsam.Pose3, steady: gtsam.Pose3) -> None:
         """Hold a match against what the IMU and what steady motion expected."""
-        allowed = _squares(motion, steady) + np.square([TURN_OFF, SHIFT_OFF])
-        wrong = bool((_squares(motion, expected) > allowed).any())
+        allowed = squares(motion, steady) + np.square([TURN_OFF, SHIFT_OFF])
+        wrong = bool((squares(motion, expected) > allowed).any())
         self._wrong = MEMORY * self._wrong + float(wrong)
 
 
-def _squares(one: gtsam.Pose3, other: gtsam.Pose3) -> Array:
+def squares(one: gtsam.Pose3, other: gtsam.Pose3) -> Array:
     """Squares (2,) of the angle and the distance between two poses."""
     apart = other.between(one)
     angle = gtsam.Rot3.Logmap(apart.rotation())

@@ -16,7 +16,7 @@ from incremental_mapper.candidates.model import CoreKind, CoreMeasurement
 from incremental_mapper.config import Config
 from incremental_mapper.errors import MeasurementError
 from incremental_mapper.frontend.gap_matching import LONG
-from incremental_mapper.frontend.imu_guide import ImuGuide, Momentum
+from incremental_mapper.frontend.imu_guide import ImuGuide, Momentum, squares
 from incremental_mapper.frontend.imu_preintegration import EMPTY_SERIES, ImuSeries
 from incremental_mapper.frontend.inertial_motion import Strip
 from incremental_mapper.frontend.match_noise import WEAK, carried, weak_directions
@@ -325,6 +325,8 @@ class LidarChain:
     def _accept(self, sweep: Sweep, gap: float, courses: Sequence[Course]) -> Motion | None:
         """Match a scan; None where no match is to be believed, else the motion follows it."""
         passed = gap + sweep.middle - self._moment
+        if len(courses) == 2 and not _near(courses[0].guess, courses[1].guess, passed):
+            courses = self._by_the_scan(sweep, courses)
         overlap = 0.0
         for number, course in enumerate(courses):
             if number:
@@ -341,6 +343,34 @@ class LidarChain:
                     return motion
             overlap = match.overlap + BETTER
         return None
+
+    def _by_the_scan(self, sweep: Sweep, courses: Sequence[Course]) -> Sequence[Course]:
+        """The IMU's course and steady motion, the one first that a scan speaks for.
+
+        Where they are far apart one of them is wrong, and a match that begins there may end where
+        it is wrong as well, but plausible by its own guess.
+        """
+        matches = []
+        for course in courses:
+            match = self._matcher.match(deskew(sweep, course.around, sweep.middle), course.guess)
+            if match is None or not self._matcher.undo():
+                return courses
+            matches.append(match)
+        by_imu, by_steady = matches
+        more = by_steady.overlap - by_imu.overlap
+        if _near(by_imu.T_previous_current, by_steady.T_previous_current, 0.0):
+            # Both ended at one place, and the one that began nearer to it was right.
+            off = [
+                np.sqrt(squares(match.T_previous_current, course.guess))
+                / [SURE_TURN, SURE_SURPRISE]
+                for match, course in zip(matches, courses, strict=True)
+            ]
+            steadier = bool(off[1].max() < off[0].max())
+        elif abs(more) >= BETTER:
+            steadier = more > 0.0
+        else:
+            steadier = by_steady.misfit < by_imu.misfit
+        return courses[::-1] if steadier else courses
 
     def _believe(self, match: Match, sweep: Sweep, passed: float, course: Course) -> Motion | None:
         """The motion from stamp to stamp; None where no vehicle makes it."""
@@ -369,13 +399,7 @@ class LidarChain:
         if course.inertial is None:
             surprise = float(np.linalg.norm(twist.linear - self._twist.linear)) * passed
             return surprise <= MAX_SURPRISE + 0.5 * BRAKING * max(passed - AT_ONCE, 0.0) ** 2
-        off = course.guess.between(found)
-        turned = float(np.linalg.norm(gtsam.Rot3.Logmap(off.rotation())))
-        shifted = float(np.linalg.norm(off.translation()))
-        return (
-            turned <= SURE_TURN + SURE_RATE * passed
-            and shifted <= SURE_SURPRISE + SURE_SPEED * passed
-        )
+        return _near(course.guess, found, passed)
 
     def _judge(self, sweep: Sweep, passed: float, found: gtsam.Pose3, course: Course) -> None:
         """Hold what the IMU expects, believed or not, against a match."""
@@ -431,3 +455,11 @@ class LidarChain:
 
     def _note(self, text: str) -> None:
         self._notes[f'{self._name}: {text}'] += 1
+
+
+def _near(expected: gtsam.Pose3, found: gtsam.Pose3, passed: float) -> bool:
+    """Whether a motion over some seconds may differ so much from what the IMU says."""
+    turned, shifted = np.sqrt(squares(found, expected)).tolist()
+    return bool(
+        turned <= SURE_TURN + SURE_RATE * passed and shifted <= SURE_SURPRISE + SURE_SPEED * passed
+    )

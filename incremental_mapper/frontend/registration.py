@@ -24,13 +24,15 @@ match no better."""
 class Match:
     """Motion between two scans, ``T_previous_current``, and how much of the scan it explains.
 
-    ``overlap`` is the share of points that found a partner, 1 where the matcher does not tell;
-    ``covariance`` (6, 6) is that of the motion, in the current scan's frame and in GTSAM's order,
-    rotation before translation; None where the matcher does not tell.
+    ``overlap`` is the share of points that found a partner, 1 where the matcher does not tell, and
+    ``misfit`` how badly they fit: the matcher's error for each of them, to be compared between
+    matches of one scan. ``covariance`` (6, 6) is that of the motion, in the current scan's frame
+    and in GTSAM's order, rotation before translation; None where the matcher does not tell.
     """
 
     T_previous_current: gtsam.Pose3
     overlap: float = 1.0
+    misfit: float = 0.0
     covariance: NDArray[np.float64] | None = None
 
 
@@ -123,7 +125,8 @@ class GicpMatcher:
         self._map = local.with_scan(scan, pose, settings)
         overlap = result.num_inliers / max(scan.cloud.size(), 1) if finite else 0.0
         noise = match_covariance(result, scan.cloud, settings) if finite else None
-        return Match(pose, overlap, noise)
+        misfit = float(result.error) / max(int(result.num_inliers), 1)
+        return Match(pose, overlap, misfit, noise)
 
     def undo(self) -> bool:
         """See ScanMatcher."""
@@ -139,7 +142,7 @@ class GicpMatcher:
             return None
         # What was near seconds ago is hardly seen any more.
         self._map = LocalMap.of_scan(scan)
-        return Match(*found)
+        return Match(found[0], found[1], covariance=found[2])
 
 
 def make_matcher(settings: OdometrySettings) -> ScanMatcher:

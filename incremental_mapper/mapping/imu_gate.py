@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from incremental_mapper.frontend.front_end import Prepared
-from incremental_mapper.frontend.imu_preintegration import ImuSeries
+from incremental_mapper.frontend.imu_preintegration import EMPTY_SERIES, ImuSeries
 from incremental_mapper.frontend.lidar_odometry import PreparedScan
 from incremental_mapper.measurements import NANOSECONDS
 
@@ -25,26 +25,21 @@ by 0.7 rad/s at most. Vibration may be as strong, but not its mean."""
 FORCE, MEAN_FORCE = 50.0, 10.0
 """m/s^2 by which a sample is off the usual force, and the mean over a match. A kerb gives 30 to 50
 for a moment; no wheels speed a vehicle up by 10 for as long as a scan takes."""
-
-
+LASTING_FORCE, LASTING = 30.0, NANOSECONDS // 10
+"""m/s^2 that are too much, gravity and all, for the mean over so many nanoseconds, whichever way
+up the IMU is. The samples of it that are off by ``MEAN_FORCE`` make it."""
+FEWEST = 5
+"""Samples of which a mean says that something lasts."""
 USUAL = 50
 """Windows whose medians tell which force is usual."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Gated:
-    """The samples that are used, and the stamps (R,) of those that were left out, ns."""
+    """The samples that are used, and those that were left out."""
 
     series: ImuSeries
-    left_out: NDArray[np.int64]
-
-    @property
-    def refused(self) -> int:
-        """How many were left out."""
-        return len(self.left_out)
-
-
-_NONE = np.zeros(0, dtype=np.int64)
+    refused: ImuSeries
 
 
 class ImuGate:
@@ -52,13 +47,15 @@ class ImuGate:
 
     def __init__(self) -> None:
         self._forces: deque[NDArray[np.float64]] = deque(maxlen=USUAL)
+        self._refused = EMPTY_SERIES  # of the window before
 
     def take(
         self, series: ImuSeries, prepared: Sequence[Prepared], R_base_imu: NDArray[np.float64]
     ) -> Gated:
         """As ``gate``, for the samples and core measurements of the next window."""
         usual = np.median(self._forces, axis=0) if self._forces else None
-        gated = gate(series, prepared, R_base_imu, usual)
+        gated = gate(series, prepared, R_base_imu, usual, self._refused)
+        self._refused = gated.refused
         if len(gated.series.stamps):
             self._forces.append(np.median(gated.series.acceleration, axis=0))
         return gated
@@ -69,6 +66,7 @@ def gate(
     prepared: Sequence[Prepared],
     R_base_imu: NDArray[np.float64],
     usual: NDArray[np.float64] | None = None,
+    before: ImuSeries = EMPTY_SERIES,
 ) -> Gated:
     """Leave out samples that no vehicle can have made while scans matched as they did.
 
@@ -78,18 +76,20 @@ def gate(
         R_base_imu: Rotation (3, 3) of the IMU in base_link.
         usual: Acceleration (3,) that samples have most of the time, m/s^2; None takes the median of
             these samples, which a knock of a tenth of a second may be the most of.
+        before: Samples that were left out before these; what they began goes on.
 
     Returns:
         The other samples. What a match vouches for stays, whatever another one says.
     """
     if len(series.stamps) == 0:
-        return Gated(series, _NONE)
+        return Gated(series, EMPTY_SERIES)
     middle = np.median(series.acceleration, axis=0) if usual is None else usual
     forces = series.acceleration - middle
     fast = np.linalg.norm(series.gyro, axis=1) > RATE
-    strong = np.linalg.norm(forces, axis=1) > FORCE
+    lasting, goes_on = _lasting(series, np.linalg.norm(forces, axis=1) > MEAN_FORCE, before)
+    strong = (np.linalg.norm(forces, axis=1) > FORCE) | lasting
     if not (fast.any() or strong.any()):
-        return Gated(series, _NONE)
+        return Gated(series, EMPTY_SERIES)
     rates = series.gyro @ R_base_imu.T
     condemned = np.zeros(len(series.stamps), dtype=bool)
     vouched = condemned.copy()
@@ -110,8 +110,43 @@ def gate(
             condemned[span] |= fast[span] & turned
         if np.linalg.norm(forces[span].mean(axis=0)) > MEAN_FORCE:
             condemned[span] |= strong[span]
+    condemned |= goes_on
+    condemned = _whole(condemned, lasting)
     keep = ~(condemned & ~(vouched & ~strong))
     if keep.all():
-        return Gated(series, _NONE)
-    kept = ImuSeries(series.stamps[keep], series.gyro[keep], series.acceleration[keep])
-    return Gated(kept, series.stamps[~keep])
+        return Gated(series, EMPTY_SERIES)
+    return Gated(_chosen(series, keep), _chosen(series, ~keep))
+
+
+def _chosen(series: ImuSeries, which: NDArray[np.bool_]) -> ImuSeries:
+    return ImuSeries(series.stamps[which], series.gyro[which], series.acceleration[which])
+
+
+def _lasting(
+    series: ImuSeries, unusual: NDArray[np.bool_], before: ImuSeries
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which unusual samples are of a force that no vehicle feels so long, and go on from before."""
+    none = np.zeros(len(series.stamps), dtype=bool)
+    if not unusual.any() or np.abs(series.acceleration).max() * np.sqrt(3.0) <= LASTING_FORCE:
+        return none, none
+    all_of_it = before.since(int(series.stamps[0]) - LASTING).joined_series(series)
+    earlier = len(all_of_it.stamps) - len(series.stamps)
+    stamps = all_of_it.stamps
+    ends = np.searchsorted(stamps, stamps + LASTING)
+    count = ends - np.arange(len(stamps))
+    sums = np.vstack([np.zeros(3), np.cumsum(all_of_it.acceleration, axis=0)])
+    mean = np.linalg.norm(sums[ends] - sums[:-1], axis=1) / count
+    begins = np.flatnonzero((mean > LASTING_FORCE) & (count >= FEWEST))
+    change = np.zeros(len(stamps) + 1)
+    np.add.at(change, begins, 1.0)
+    np.add.at(change, ends[begins], -1.0)
+    lasts = (np.cumsum(change[:-1]) > 0.0)[earlier:] & unusual
+    first = none.copy()
+    first[0] = earlier > 0
+    return lasts, lasts & first
+
+
+def _whole(some: NDArray[np.bool_], runs: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """``some`` samples, and those of ``runs`` that go on from one of them without a break."""
+    number = np.cumsum(np.diff(runs, prepend=False))
+    return some | runs & np.isin(number, number[some & runs])

@@ -412,9 +412,9 @@ class Mapper:
         turn = self.config.imu.matrix()[:3, :3]
         gated = self._gate.take(self._series.joined(window.imu), prepared, turn)
         self._series = gated.series
-        if gated.refused:
-            self._failed[IMU, 'contradicted'] += gated.refused
-            self._watch.contradicted(gated.left_out)
+        if len(gated.refused.stamps):
+            self._failed[IMU, 'contradicted'] += len(gated.refused.stamps)
+            self._watch.contradicted(gated.refused.stamps)
         self._watch.prepared(prepared)
         self._watch.fixes(self._front_end.gate)
         stands = self._stands(prepared, self._series.within(window.start, window.end))

@@ -72,6 +72,20 @@ def test_knock_of_the_imu_costs_no_match(measurements):
     assert 'lidar: match rejected' not in notes
 
 
+@pytest.mark.parametrize('rate', [5.0, 10.0, 20.0])
+def test_scans_tell_where_the_imu_is_knocked_for_longer(measurements, rate):
+    # By what it says, a match may end far off and be plausible; by steady motion it fits.
+    during = range(EPOCH + 1_500_000_000, EPOCH + 1_700_000_000)
+    sent = [
+        replace(item, gyro=item.gyro + [0.0, 0.0, rate])
+        if isinstance(item, ImuSample) and item.stamp in during
+        else item
+        for item in measurements
+    ]
+    led, notes = errors(sent)
+    assert rms(led) < 0.008 and not notes
+
+
 def test_imu_with_wrong_axes_is_left_to_itself(measurements):
     turned = [
         replace(item, gyro=item.gyro[[2, 0, 1]]) if isinstance(item, ImuSample) else item
