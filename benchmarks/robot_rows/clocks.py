@@ -12,6 +12,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
 from node_runs import PATIENCE, Drive, NodeRun, make_drive, node_run, publishers
 
 from incremental_mapper.datasets.bag_files import open_bag
@@ -22,6 +23,8 @@ from incremental_mapper.results.graph_json import compare_graphs, graph_tree
 from incremental_mapper.results.offline_run import effective_config, map_source
 from incremental_mapper.results.run_folder import FinishedRun
 from incremental_mapper.results.trajectory_errors import trajectory_errors
+from incremental_mapper.ros.client import Heard
+from incremental_mapper.ros.publishers import reliable
 from incremental_mapper.settings import merge, read_yaml
 from incremental_mapper.trajectory import Trajectory
 from robot_rows import Seen, row
@@ -47,13 +50,19 @@ class Sent:
 
 @dataclass(frozen=True, slots=True)
 class Live:
-    """What came of a drive: errors, parts of the last diagnostics, latencies (ms), the folder."""
+    """What came of a drive: errors, parts of the last diagnostics, latencies (ms), the folder.
+
+    ``published`` is when the last message of each window was published, and ``worker`` what
+    /diagnostics said: when it came (ns of the system's clock both), level and text.
+    """
 
     ate: float
     parts: dict[str, dict[str, Any]]
     latencies: list[float]
     lost: int
     folder: Path
+    published: list[int]
+    worker: list[tuple[int, int, str]]
 
 
 @cache
@@ -117,6 +126,8 @@ def live(
     # What is not of time must not depend on the load of the machine.
     given = {'save.folder': str(folder / 'saved'), 'queue.max_delay': 0.0, **(parameters or {})}
     with node_run(drive(), folder / 'node.log', given) as run:
+        heard: list[Heard] = []
+        run.client.listen('/diagnostics', DiagnosticArray, heard.append, reliable(100))
         with beside():
             times = publish(run, sent)
         run.catch_up()
@@ -127,7 +138,7 @@ def live(
         if not (folder / 'saved').exists():
             raise InputError(f'nothing was saved: {ok}, {told}')
         lost = len(sent) - sum(parts[name]['received'] for name in SENSORS)
-        latencies = latencies_of(run, seen, times)
+        latencies, published = latencies_of(run, seen, times)
     saved = FinishedRun(folder / 'saved')
     errors = trajectory_errors(saved.trajectory, moved(truth()))
     return Live(
@@ -136,6 +147,13 @@ def live(
         latencies,
         lost,
         folder / 'saved',
+        published,
+        [
+            (item.received, status.level[0], status.message)
+            for item in heard
+            for status in item.message.status
+            if status.name.endswith(': worker')
+        ],
     )
 
 
@@ -151,8 +169,10 @@ def publish(run: NodeRun, sent: Sequence[Sent]) -> dict[tuple[str, int], int]:
     return times
 
 
-def latencies_of(run: NodeRun, seen: int, times: dict[tuple[str, int], int]) -> list[float]:
-    """Milliseconds from when a window's last message was published to its odometry."""
+def latencies_of(
+    run: NodeRun, seen: int, times: dict[tuple[str, int], int]
+) -> tuple[list[float], list[int]]:
+    """Milliseconds from a window's last message to its odometry; when that message came, ns."""
     bounds = {
         stats['stamp_ns']: (stats['window.start_ns'], stats['window.end_ns'])
         for stats in run.client.stats
@@ -160,7 +180,7 @@ def latencies_of(run: NodeRun, seen: int, times: dict[tuple[str, int], int]) -> 
     }
     ordered = sorted((stamp, at) for (_, stamp), at in times.items())
     stamps = [stamp for stamp, _ in ordered]
-    found = []
+    found, published = [], []
     for heard in run.client.odometry[:seen]:
         stamp = heard.message.header.stamp
         window = bounds.get(stamp.sec * NANOSECONDS + stamp.nanosec)
@@ -169,7 +189,8 @@ def latencies_of(run: NodeRun, seen: int, times: dict[tuple[str, int], int]) -> 
         inside = slice(*np.searchsorted(stamps, window))
         last = max((at for _, at in ordered[inside]), default=heard.received)
         found.append((heard.received - last) / 1e6)
-    return found
+        published.append(last)
+    return found, published
 
 
 @cache

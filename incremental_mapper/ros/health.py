@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Mapping
+from math import inf
 from typing import Any
 
 from builtin_interfaces.msg import Time
@@ -12,6 +13,7 @@ from std_msgs.msg import Header
 from incremental_mapper.mapping.load_shedding import NO_SHEDDING
 from incremental_mapper.mapping.statistics import STAGES
 from incremental_mapper.ros.drop_log import DropLog
+from incremental_mapper.ros.inbox import MERGE_FROM
 from incremental_mapper.ros.known_findings import KnownFindings
 from incremental_mapper.ros.rclpy_types import MESSAGES
 from incremental_mapper.ros.subscriptions import GNSS, Inputs
@@ -75,6 +77,9 @@ class Health:
         # A window may wait for a silent sensor, and be carried, before it is told of.
         usual = settings.duration + settings.lateness + settings.max_carry
         self._flow = Flow(max(NO_WINDOW, 3.0 * usual))
+        # A window may wait for a silent sensor; from half of what may wait on windows are merged.
+        most = worker.config.queue.max_delay
+        self._late = settings.duration + max(settings.lateness, MERGE_FROM * most) if most else inf
         self._events = Events()
         self._drop_log = DropLog()
 
@@ -82,10 +87,12 @@ class Health:
         """Remember the newest window."""
         self._last = update
         self._windows += 1
+        self._inputs.lag.told(update.result.start, update.result.end, time.time())
 
     def restart(self) -> None:
         """Forget the map before."""
         self._last = None
+        self._inputs.lag.restart()
 
     def message(self, stamp: Time) -> DiagnosticArray:
         """The state at this moment."""
@@ -173,12 +180,14 @@ class Health:
         row = {} if self._last is None else self._last.result.row
         stats = self._stats()
         overloaded = shedding != NO_SHEDDING
+        lag = max(self._inputs.lag.worst(), self._worker.inbox.delay())
         journal, missing = self._worker.journal_figures
         values = {
             'queue_core': core,
             'queue_imu': imu,
             'queue_mb': round(self._worker.inbox.nbytes() / MB, 2),
             'delay_s': round(self._worker.inbox.delay(), 2),
+            'lag_s': round(lag, 2),
             'candidates_limit': shedding.candidates,
             'windows_merged_into_one': shedding.windows,
             'window_s': row.get('window_s', 0.0),
@@ -204,8 +213,9 @@ class Health:
             wrong.append(flow)
         if 'mapper_failures' in recent:
             wrong.append(Verdict(Level.WARN, f'mapper failures: {self._worker.failures}'))
-        if overloaded:
-            wrong.append(Verdict(Level.WARN, 'falling behind: less search'))
+        if overloaded or lag > self._late:
+            how = ': less search' if overloaded else ''
+            wrong.append(Verdict(Level.WARN, f'falling behind{how}, {lag:.1f} s late'))
         level = LEVELS[max((item.level for item in wrong), default=Level.OK)]
         message = '; '.join(item.message for item in wrong) or 'keeps up'
         return MESSAGES.status(f'{self._name}: worker', level, message, values)

@@ -21,6 +21,7 @@ from incremental_mapper.datasets.sensor_settings import offset_nanoseconds
 from incremental_mapper.errors import MeasurementError
 from incremental_mapper.measurements import NANOSECONDS, Drops, Measurement
 from incremental_mapper.ros.clock_log import ClockLog
+from incremental_mapper.ros.lag import Lag
 from incremental_mapper.ros.reception import Arrived, Losses, Reception, stray_overrides
 
 IMU, GNSS = 'imu', 'gnss'
@@ -77,6 +78,7 @@ class Inputs:
         self._since = time.monotonic()
         self.moment = 0.0
         """When the middleware received what is handed on, seconds of the system's clock."""
+        self.lag = Lag()
         self._offsets: dict[str, int] = {}
         sensors = {**config.lidars, IMU: config.imu, GNSS: config.gnss}
         self._clocks = ClockLog(tuple(name for name, item in sensors.items() if item.time_offset))
@@ -190,4 +192,6 @@ class Inputs:
         self._newest[name] = max(measurement.stamp, self._newest.get(name, 0))
         self._clocks.take(name, measurement.stamp, received)
         self.moment = received / NANOSECONDS
+        if name != IMU:
+            self.lag.took(measurement.stamp + self._offsets.get(name, 0), self.moment)
         self._hand_on(measurement, str(message.header.frame_id))
