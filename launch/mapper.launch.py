@@ -6,7 +6,10 @@ Topics are those of the parameters (``lidars.NAME.topic``, ``imu.topic``, ``fix.
 remapped: ``remappings:="imu:=/sensing/imu fix:=/sensing/gnss/fix"``.
 """
 
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
+import os
+from pathlib import Path
+
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
@@ -25,6 +28,11 @@ ARGUMENTS = {
         '',
         'folder for journals, against crashes and power cuts; "" leaves it to params_file',
     ),
+    'large_clouds': (
+        'false',
+        'whether this node and what is launched after it have shared memory for whole clouds '
+        '(Fast DDS, 134 MB each): it is the driver that needs it, where it publishes best effort',
+    ),
     'use_sim_time': ('false', 'whether the node follows /clock'),
     'respawn': ('true', 'whether the node is started again where it ended by itself'),
     'respawn_delay': ('2.0', 'seconds until then'),
@@ -33,6 +41,9 @@ ARGUMENTS = {
     'log_level': ('info', 'debug, info, warn or error'),
 }
 """Default and meaning of every argument."""
+PROFILE = Path(__file__).parents[1] / 'config' / 'fastdds_large_clouds.xml'
+PROFILES = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE')
+"""Variables of Fast DDS, the old and the new one; what a user has set stays."""
 
 
 def make_node(context):
@@ -44,7 +55,10 @@ def make_node(context):
         own['save.on_shutdown'] = given['save_on_shutdown']
     if given['journal_folder']:
         own['journal.folder'] = given['journal_folder']
+    wanted = given['large_clouds'].lower() in ('true', '1')
+    room = wanted and not any(os.environ.get(name) for name in PROFILES)
     return [
+        *([SetEnvironmentVariable(PROFILES[0], str(PROFILE))] if room else []),
         Node(
             package='incremental_mapper',
             executable='mapper_node',
@@ -59,7 +73,7 @@ def make_node(context):
             respawn_delay=float(given['respawn_delay']),
             sigterm_timeout=given['sigterm_timeout'],
             sigkill_timeout=given['sigkill_timeout'],
-        )
+        ),
     ]
 
 

@@ -118,7 +118,11 @@ def launched(monkeypatch):
     if not HAS_LAUNCH:
         for module, names in {
             'launch': ['LaunchDescription'],
-            'launch.actions': ['DeclareLaunchArgument', 'OpaqueFunction'],
+            'launch.actions': [
+                'DeclareLaunchArgument',
+                'OpaqueFunction',
+                'SetEnvironmentVariable',
+            ],
             'launch.substitutions': ['LaunchConfiguration'],
             'launch_ros': [],
             'launch_ros.actions': ['Node'],
@@ -127,7 +131,7 @@ def launched(monkeypatch):
             for name in names:
                 setattr(made, name, type(name, (Made,), {}))
             monkeypatch.setitem(sys.modules, module, made)
-    space = {}
+    space = {'__file__': str(LAUNCH)}
     exec(compile(LAUNCH.read_text(encoding='utf-8'), str(LAUNCH), 'exec'), space)
     return space
 
@@ -163,6 +167,24 @@ def test_launch_file_describes_the_node_and_its_arguments(launched):
     assert node.named['respawn'] is True
     # ros2 launch waits 5 s by default: less than a map takes to be saved.
     assert float(node.named['sigterm_timeout']) >= 30 <= float(node.named['sigkill_timeout'])
+
+
+def test_launch_file_gives_room_for_large_clouds_where_the_user_has_set_nothing(
+    launched, monkeypatch
+):
+    if HAS_LAUNCH:
+        pytest.skip('stand-ins are looked at')
+    for name in launched['PROFILES']:
+        monkeypatch.delenv(name, raising=False)
+    *arguments, function = launched['generate_launch_description']().given[0]
+    given = {item.given[0]: item.named['default_value'] for item in arguments}
+    assert len(function.named['function'](given)) == 1
+    given['large_clouds'] = 'true'
+    variable, _ = function.named['function'](given)
+    name, path = variable.given
+    assert name == 'FASTRTPS_DEFAULT_PROFILES_FILE' and Path(path).is_file()
+    monkeypatch.setenv('FASTDDS_DEFAULT_PROFILES_FILE', '/mine.xml')
+    assert len(function.named['function'](given)) == 1
 
 
 def test_colcon_lines_of_the_pages_are_those_that_ci_runs():

@@ -42,7 +42,9 @@ def received(folder: Path, points: int, *options: str, **environment: str) -> di
         ]
         client.fresh_diagnostics(PATIENCE)
         found = dict(client.fresh_diagnostics(PATIENCE)['top'])
-        return {**found, 'reliability': decided[-1] if decided else 'undecided'}
+        told = any(PROFILE.name in str(parts['checks']) for parts in client.diagnostics)
+        reliability = decided[-1] if decided else 'undecided'
+        return {**found, 'reliability': reliability, 'told': told}
 
 
 def reliable(folder: Path, points: int) -> Seen:
@@ -73,17 +75,16 @@ def reliable_large(folder: Path) -> Seen:
 
 @row('losses without the cause')
 def best_effort(folder: Path) -> Seen:
-    """60 clouds of 0.77 MB at 10 Hz from a best-effort publisher: what is lost is counted."""
+    """60 clouds of 0.77 MB at 10 Hz from a best-effort publisher: what is lost is told."""
     part = received(folder, 16_000, '--best-effort')
-    counted = part['received'] + part['lost_in_transport'] + part['overwritten']
     now = (
         f'received {part["received"]} of {SENT}, {part["reliability"]}, '
-        f'{part["lost_in_transport"]} counted as lost'
+        f'{part["lost_in_transport"]} counted as lost; '
+        f'{"" if part["told"] else "not "}told with the remedy'
     )
-    # What is lost at either end leaves no gap between two messages that came.
-    at_an_end = SENT // 4
-    good = part['reliability'] == 'best effort' and part['received'] > 0
-    return Seen(now, good and SENT - at_an_end <= counted <= SENT)
+    # The sender has 512 kB of shared memory: nothing that the receiver does helps.
+    lost = part['received'] < SENT
+    return Seen(now, part['reliability'] == 'best effort' and part['told'] == lost)
 
 
 @row('the same')

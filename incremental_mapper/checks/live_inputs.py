@@ -5,6 +5,14 @@ from collections.abc import Mapping, Sequence
 from incremental_mapper.checks.finding import Finding, Severity
 from incremental_mapper.checks.frame_names import shown_frame
 
+ROOM = (
+    'let it publish reliable: a packet that is lost is then sent again; or, with Fast DDS on one '
+    'machine, give it room for whole messages: FASTRTPS_DEFAULT_PROFILES_FILE='
+    "fastdds_large_clouds.xml of this package's config/ in its environment (in the node's alone it "
+    'does not help)'
+)
+"""What helps a publisher that sends best effort."""
+
 
 def nobody_publishes(
     sensor: str,
@@ -142,13 +150,32 @@ def messages_lost(
         remedy = f'take {override} out, or set it to reliable'
     else:
         why = f'because {", ".join(publishers) or "a publisher"} offers no more'
-        remedy = 'let it publish reliable: a packet that is lost is then sent again'
+        remedy = ROOM
     return Finding(
         'lost_messages',
         Severity.WARNING,
         sensor,
         f'{count} messages of {topic} were lost on the way: they are sent best effort, {why}',
         remedy,
+    )
+
+
+def nothing_comes(sensor: str, topic: str, publishers: Sequence[str], seconds: float) -> Finding:
+    """Nothing comes of a topic that is published best effort: without two messages no loss shows.
+
+    Args:
+        sensor: Whose topic it is.
+        topic: Its name.
+        publishers: Names of the nodes that offer no more than best effort.
+        seconds: For how long nothing came.
+    """
+    return Finding(
+        'lost_messages',
+        Severity.WARNING,
+        sensor,
+        f'no message of {topic} has come for {seconds:.0f} s, and {", ".join(publishers)} sends '
+        'best effort: if it sends at all, all of it is lost on the way, as large clouds are',
+        ROOM,
     )
 
 

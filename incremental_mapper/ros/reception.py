@@ -21,6 +21,7 @@ from incremental_mapper.checks.live_inputs import (
     lost_of_reliable,
     messages_lost,
     messages_overwritten,
+    nothing_comes,
     unheard_publishers,
 )
 from incremental_mapper.errors import ConfigError
@@ -30,6 +31,8 @@ OVERLAP = 1.0
 """Seconds for which the subscription before goes on beside a new one that is matched."""
 PATIENCE = 10.0
 """Seconds after which it ends even where some publisher does not match the new one."""
+NOTHING = 5.0
+"""Seconds without a message after which somebody who publishes best effort is named."""
 OVERRIDABLE = (QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.DURABILITY)
 """Policies that users may always override; reliability is one more, and then settled."""
 
@@ -94,6 +97,7 @@ class Reception:
         self._gaps_before = 0
         self._lost = 0
         self._publishers: tuple[tuple[str, ReliabilityPolicy], ...] = ()
+        self._heard = time.monotonic()  # or when nobody published yet
         settled = f'qos_overrides.{self.topic}.subscription.reliability'
         self._override = settled if node.has_parameter(settled) else ''
         self._due: frozenset[ReliabilityPolicy] = frozenset()
@@ -121,6 +125,8 @@ class Reception:
             found += self._drained(subscription)
         if self._overlapping or self._seen:
             found = [arrived for arrived in found if self._is_new(arrived)]
+        if found:
+            self._heard = time.monotonic()
         for _, about in found:
             self._count_gap(about.get('publication_sequence_number') or 0)
         return found
@@ -134,6 +140,8 @@ class Reception:
             for info in self._node.get_publishers_info_by_topic(self._given_topic)
             if info.topic_type == wanted
         )
+        if not self._publishers:
+            self._heard = time.monotonic()
         self._make_due()
         passed = time.monotonic() - self._since
         if not self._overlapping:
@@ -180,6 +188,8 @@ class Reception:
         elif losses.transport:
             cause = messages_lost(sensor, self.topic, losses.transport, weak, self._override)
             found.append(cause)
+        elif weak and not reliable and (silent := time.monotonic() - self._heard) > NOTHING:
+            found.append(nothing_comes(sensor, self.topic, weak, silent))
         if losses.overwritten:
             found.append(messages_overwritten(sensor, self.topic, losses.overwritten, self._depth))
         if reliable and weak:

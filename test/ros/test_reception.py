@@ -18,6 +18,7 @@ from ros_helpers import next_domain
 from sensor_msgs.msg import NavSatFix
 
 from incremental_mapper.errors import ConfigError
+from incremental_mapper.ros import reception
 from incremental_mapper.ros.reception import (
     BEST_EFFORT,
     RELIABLE,
@@ -184,6 +185,24 @@ def test_the_first_messages_of_a_best_effort_publisher_are_heard(listen):
     listening.spin(0.1)
     assert sorted(listening.numbers) == sent
     assert listening.reception.reliability == 'best effort'
+
+
+def test_somebody_who_publishes_best_effort_and_is_not_heard_is_named(listen, monkeypatch):
+    monkeypatch.setattr(reception, 'NOTHING', -1.0)
+    listening = listen()
+    listening.spin()
+    assert listening.reception.findings('gnss') == []  # nobody is there
+    weak = listening.publisher(BEST_EFFORT)
+    end = time.monotonic() + 4.0
+    while not listening.reception.publishers:
+        assert time.monotonic() < end
+        listening.spin(0.01)
+    (finding,) = listening.reception.findings('gnss')
+    assert finding.rule == 'lost_messages' and 'listening sends best effort' in finding.text
+    assert 'fastdds_large_clouds.xml' in finding.remedy
+    monkeypatch.setattr(reception, 'NOTHING', 60.0)
+    listening.send_until(weak, matched(weak, 1))
+    assert listening.reception.findings('gnss') == []
 
 
 def test_messages_that_were_overwritten_are_counted_with_the_remedy(listen):
