@@ -1,5 +1,6 @@
 """The node and the player as programs of their own: how they are called, started and ended."""
 
+import fcntl
 import os
 import random
 import signal
@@ -7,8 +8,9 @@ import socket
 import subprocess
 import sys
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from tempfile import gettempdir
 from typing import IO, TypeAlias
 
 from incremental_mapper.errors import InputError
@@ -22,12 +24,16 @@ INSTALL = 'pip install "incremental_mapper[ros]", or source a ROS 2 installation
 DOMAINS = range(1, 101)
 """Above 101 the ports may be taken by outgoing connections."""
 _FIRST_PORT, _PORTS_OF_A_DOMAIN = 7410, 250
+_CLAIMS: dict[int, IO[bytes]] = {}
+"""The domains that this process was given, and the files that say so to others until it ends."""
 _PATIENCE = 30.0
 """Seconds that a program has to end by itself: the node maps what waits and saves."""
 
 
 def free_domain(taken: Collection[int] = ()) -> int:
-    """Find a ROS domain that nobody on this machine uses.
+    """Find a ROS domain that nobody on this machine uses, or was given by this function.
+
+    The port alone does not tell: seconds pass until the node that is to use it has it.
 
     Args:
         taken: domains that are left out.
@@ -47,8 +53,31 @@ def free_domain(taken: Collection[int] = ()) -> int:
                 probe.bind(('', _FIRST_PORT + _PORTS_OF_A_DOMAIN * domain))
             except OSError:
                 continue
-        return domain
+        if _claimed(domain):
+            return domain
     raise InputError('every ROS domain is in use on this machine')
+
+
+def _claimed(domain: int) -> bool:
+    """Whether this process has a domain to itself among those that ask here."""
+    if domain in _CLAIMS:
+        return True
+    path = Path(gettempdir()) / f'incremental_mapper_domain_{domain}'
+    try:
+        # Any user may: what is in the way of one file is no reason to have no domain.
+        with suppress(OSError):
+            path.touch()
+            path.chmod(0o666)
+        file = path.open('rb')
+    except OSError:
+        return True
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        file.close()
+        return False
+    _CLAIMS[domain] = file
+    return True
 
 
 def local_environment(domain: int) -> dict[str, str]:

@@ -47,6 +47,18 @@ def test_free_domain_is_one_that_nobody_uses():
             free_domain(others)
 
 
+def test_a_domain_that_another_process_was_given_is_not_free_before_it_is_used():
+    wanted = free_domain()
+    others = set(DOMAINS) - {wanted}
+    code = (
+        'import sys; from incremental_mapper.ros.programs import free_domain; '
+        'from incremental_mapper.errors import InputError\n'
+        f'try: print(free_domain({others}))\nexcept InputError: print("none")'
+    )
+    asked = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True)
+    assert asked.stdout.strip() == 'none'
+
+
 def test_environment_keeps_ros_on_this_machine():
     environment = local_environment(42)
     assert environment['ROS_AUTOMATIC_DISCOVERY_RANGE'] == 'LOCALHOST'
