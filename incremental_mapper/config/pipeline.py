@@ -85,12 +85,12 @@ class OdometrySettings(Section):
     noise: MatchNoise = MatchNoise.HESSIAN
     """hessian gives every match of gicp a covariance of its own, by how well the scans hold it in
     each direction; constant gives all of them the sigmas below, as do those of kiss_icp."""
-    covariance_scale: float = Field(default=50.0, gt=0.0, le=1e6)
-    """hessian: factor on the inverse Hessian of a match, whose points are not independent and whose
-    errors are much alike from scan to scan."""
-    floor_translation: Sigma = 0.01
+    covariance_scale: float = Field(default=25.0, gt=0.0, le=1e6)
+    """hessian: factor on the least-squares covariance of a match, whose points are not independent
+    and whose errors are much alike from scan to scan."""
+    floor_translation: Sigma = 0.005
     """hessian: standard deviation in metres that a match has at the least, each axis."""
-    floor_rotation: Sigma = 0.001
+    floor_rotation: Sigma = 0.0005
     """hessian: the same in radians."""
     sigma_translation: Sigma = 0.03
     """constant: standard deviation of a match in metres, each axis."""

@@ -1,7 +1,7 @@
 """IMU spans: samples as arrays, pre-integration over a whole span, prediction, levelling."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import gtsam
@@ -11,14 +11,30 @@ from numpy.typing import NDArray
 from incremental_mapper.config import ImuSettings
 from incremental_mapper.measurements import NANOSECONDS, ImuSample
 
+SMOOTHED = 30_000_000
+"""Nanoseconds to either side over which a rate of turn is averaged before its change is taken: the
+noise of single samples, times a lever arm of metres, would be more than what springs do."""
+APART = 150_000_000
+"""Nanoseconds between neighbours that still tell how the turn changes: an IMU of 10 Hz, no hole."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImuSeries:
-    """Samples in time order: stamps (K,) ns, gyro (K, 3) rad/s, acceleration (K, 3) m/s^2."""
+    """Samples in time order: stamps (K,) ns, gyro (K, 3) rad/s, acceleration (K, 3) m/s^2.
+
+    ``turning`` is what was made of samples and of those before them, where that was asked for.
+    """
 
     stamps: NDArray[np.int64]
     gyro: NDArray[np.float64]
     acceleration: NDArray[np.float64]
+    turning: 'Turning | None' = None
+
+    @property
+    def changes(self) -> NDArray[np.float64]:
+        """How the turn changes around each sample (K, 3), rad/s^2 along the IMU's axes."""
+        turning = turning_of(self.stamps, self.gyro) if self.turning is None else self.turning
+        return turning.changes
 
     def since(self, stamp: int) -> 'ImuSeries':
         """The samples with a stamp of at least ``stamp``."""
@@ -27,7 +43,10 @@ class ImuSeries:
 
     def part(self, low: int, high: int) -> 'ImuSeries':
         """The samples at positions [low, high)."""
-        return ImuSeries(self.stamps[low:high], self.gyro[low:high], self.acceleration[low:high])
+        turning = None if self.turning is None else self.turning.part(low, high)
+        return ImuSeries(
+            self.stamps[low:high], self.gyro[low:high], self.acceleration[low:high], turning
+        )
 
     def within(self, start: int, end: int) -> 'ImuSeries':
         """The samples with start <= stamp < end."""
@@ -40,8 +59,11 @@ class ImuSeries:
         return self.part(low, low + 1)
 
     def joined(self, samples: Sequence[ImuSample]) -> 'ImuSeries':
-        """This series with newer samples behind it."""
-        return self if not samples else self.joined_series(series_of(samples))
+        """This series with newer samples behind it, and how the turn changes."""
+        if not samples:
+            return self
+        series = self.joined_series(series_of(samples))
+        return replace(series, turning=turning_of(series.stamps, series.gyro, self.turning))
 
     def joined_series(self, newer: 'ImuSeries') -> 'ImuSeries':
         """This series with a newer one behind it."""
@@ -52,8 +74,63 @@ class ImuSeries:
         )
 
 
-QUICK_CHANGE = 0.3
-"""rad/s by which the turn changes within a span of a vehicle that is carried or jolted."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Turning:
+    """How a turn changes around each sample, and the rates from which to which.
+
+    Each sample stands for the time nearest to it. ``rates`` (K, 3) are smooth ones at the ends of
+    these times, rad/s, and ``ends`` (K,) their stamps, ns; ``changes`` (K, 3) are rad/s^2.
+    """
+
+    ends: NDArray[np.int64]
+    rates: NDArray[np.float64]
+    changes: NDArray[np.float64]
+
+    def part(self, low: int, high: int) -> 'Turning':
+        """That of the samples at positions [low, high)."""
+        return Turning(self.ends[low:high], self.rates[low:high], self.changes[low:high])
+
+
+def turning_of(
+    stamps: NDArray[np.int64], gyro: NDArray[np.float64], known: Turning | None = None
+) -> Turning:
+    """Find how a turn changes, so that changes add up to what the smooth rate changes by.
+
+    What was found before new samples came is kept, though they would tell it better: a sample may
+    have its say in a span before them and in one behind them, and what is too little in the first
+    is to be too much in the second, or noise would add up from window to window.
+
+    Args:
+        stamps: Of the samples (K,), ns, in time order.
+        gyro: Rates of turn (K, 3), rad/s.
+        known: That of the first ones of them.
+
+    Returns:
+        That of all; no change where a sample has no neighbour.
+    """
+    count = len(stamps)
+    first = 0 if known is None else len(known.ends)
+    if count < 2 or first >= count:
+        return known or Turning(stamps.copy(), gyro.copy(), np.zeros((count, 3)))
+    steps = np.diff(stamps)
+    ends = np.append(stamps[:-1] + steps // 2, stamps[-1] + min(int(steps[-1]), APART) // 2)
+    index = np.arange(count)
+    beside = np.append(index[1:], count - 1)
+    low = np.minimum(np.searchsorted(stamps, ends - SMOOTHED), index)
+    high = np.maximum(np.searchsorted(stamps, ends + SMOOTHED, side='right'), beside + 1)
+    sums = np.vstack([np.zeros((1, 3)), np.cumsum(gyro, axis=0)])
+    rates = (sums[high] - sums[low]) / (high - low)[:, None]
+    if known is not None:
+        ends[:first], rates[:first] = known.ends, known.rates
+    changes = np.zeros((count, 3))
+    passed = np.diff(ends)
+    told = (passed > 0) & (passed <= APART)
+    changes[1:][told] = np.diff(rates, axis=0)[told] / (passed[told] / NANOSECONDS)[:, None]
+    changes[0] = changes[1]  # nothing is known of what was before it
+    if known is not None:
+        changes[:first] = known.changes
+    return Turning(ends, rates, changes)
+
 
 EMPTY_SERIES = ImuSeries(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros((0, 3)))
 
@@ -156,18 +233,16 @@ def integrate(
 def _swung(samples: ImuSeries, T_base_imu: gtsam.Pose3 | None) -> NDArray[np.float64]:
     """Acceleration (K, 3) of an IMU beside base_link as the turn changes, in its axes, m/s^2.
 
-    GTSAM takes off what a steady turn does to a sensor off the centre, but not this: in a hand the
-    turn changes by 4 rad/s in a few tenths of a second, which over 0.1 m is 0.4 m/s. Where it
-    changes by little it is the gyroscope's noise that would be taken off: on a car with the IMU
-    1.7 m above the ground that is much more than what springs do.
+    GTSAM takes off what a steady turn does to a sensor off the centre, but not this. In a hand the
+    turn changes by 4 rad/s in a few tenths of a second, which over 0.1 m is 0.4 m/s. A car sinks
+    back by 12 mrad as it pulls away at 2 m/s^2: an IMU on its roof, 1.7 m up, comes 20 mm less far.
     """
-    few = len(samples.stamps) < 2
-    if T_base_imu is None or few or np.ptp(samples.gyro, axis=0).max() < QUICK_CHANGE:
+    arm = np.zeros(3)
+    if T_base_imu is not None:
+        arm = T_base_imu.rotation().unrotate(T_base_imu.translation())
+    if not arm.any():
         return np.zeros((len(samples.stamps), 3))
-    seconds = (samples.stamps - samples.stamps[0]) / NANOSECONDS
-    change = np.gradient(samples.gyro, seconds, axis=0)
-    arm = T_base_imu.rotation().matrix().T @ T_base_imu.translation()
-    swung: NDArray[np.float64] = np.cross(change, arm)
+    swung: NDArray[np.float64] = np.cross(samples.changes, arm)
     return swung
 
 

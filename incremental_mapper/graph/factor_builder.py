@@ -14,11 +14,11 @@ from incremental_mapper.candidates.model import (
     Connection,
     CoreMeasurement,
 )
-from incremental_mapper.config import Config
+from incremental_mapper.config import Config, Strategy
 from incremental_mapper.frontend.dead_reckoning import State
 from incremental_mapper.frontend.front_end import Prepared, PreparedFix
 from incremental_mapper.frontend.gap_matching import LONG
-from incremental_mapper.frontend.imu_preintegration import ImuSeries, preintegrate
+from incremental_mapper.frontend.imu_preintegration import ImuSeries, integrate, preintegrate
 from incremental_mapper.frontend.lidar_odometry import PreparedScan
 from incremental_mapper.frontend.match_noise import carried
 from incremental_mapper.graph.bias_sharing import BiasSharing
@@ -38,7 +38,7 @@ from incremental_mapper.graph.factors import (
 )
 from incremental_mapper.graph.frontier import Frontier, chain_start
 from incremental_mapper.graph.motion_compensation import MotionCompensation
-from incremental_mapper.graph.passed_clusters import MotionSigmas, passed_factor
+from incremental_mapper.graph.passed_clusters import MotionSigmas, close_factor, passed_factor
 from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.variables import bias_key, pose_key, velocity_key
 
@@ -134,7 +134,8 @@ class FactorBuilder:
         home = self._in.bias.home(candidate, self._partitions.number)
         for link in links:
             made.extend(self._imu(candidate, link.start, link.end, home))
-            made.extend(self._passed(candidate, link))
+            made.extend(self._passed(candidate, link, home))
+        made.extend(self._close(candidate, since))
         made.extend(self._chain_starts(candidate, links))
         new = self._in.bias.new_home(candidate, self._partitions.number)
         if new is not None and candidate.connections[0] in links:
@@ -317,27 +318,84 @@ class FactorBuilder:
             self._cache[key] = (imu_factor(first, last, span, 'imu', between, stamps, home),)
         return self._cache[key]
 
-    def _passed(self, candidate: Candidate, link: Connection) -> Iterator[Factor]:
+    def _passed(self, candidate: Candidate, link: Connection, home: int | None) -> Iterator[Factor]:
         """Hold the clusters that a connection passes over."""
         if not self._in.config.graph.dead_reckoning:
             return
         start, stamp = self._ends(candidate, link.start)
-        for cluster in candidate.clusters[link.start + 1 : link.end]:
+        end, end_stamp = self._ends(candidate, link.end)
+        for index in range(link.start + 1, link.end):
+            if self._close_behind(candidate, index) is not None:
+                continue
+            cluster = candidate.clusters[index]
             own = self._partitions.number(cluster)
-            key = ('passed', start, own, link.end_stamp)
+            key = ('passed', start, own, end, home)
             if key not in self._cache:
+                series = self._in.series
+                samples = series.within(stamp, cluster.stamp)
+                if len(samples.stamps) == 0:
+                    samples = series.nearest(stamp)
+                span = integrate(
+                    samples,
+                    stamp,
+                    cluster.stamp,
+                    self._in.parameters,
+                    self._in.head_state.bias,
+                    constant_bias=True,
+                )
+                assert isinstance(span, gtsam.PreintegratedImuMeasurements)
                 self._cache[key] = (
                     passed_factor(
-                        (start, own),
-                        self._compensation.dead_reckon(stamp),
-                        self._compensation.dead_reckon(cluster.stamp),
-                        link.end_stamp,
-                        self._in.known,
+                        (start, own, end),
+                        (stamp, cluster.stamp, end_stamp),
+                        span,
+                        start if home is None else home,
                         self._in.config.preintegration,
-                        UNSEEN,
+                        len(samples.stamps),
                     ),
                 )
             yield from self._cache[key]
+
+    def _close(self, candidate: Candidate, since: int) -> Iterator[Factor]:
+        """Hold the clusters that no IMU sample parts from one with a velocity before them."""
+        for index in range(since, len(candidate.clusters)):
+            behind = self._close_behind(candidate, index)
+            if behind is None:
+                continue
+            start, stamp = self._ends(candidate, behind)
+            cluster = candidate.clusters[index]
+            own = self._partitions.number(cluster)
+            key = ('close', start, own)
+            if key not in self._cache:
+                self._cache[key] = (
+                    close_factor(
+                        (start, own),
+                        self._compensation.dead_reckon(stamp),
+                        self._compensation.dead_reckon(cluster.stamp),
+                        self._in.known,
+                        self._in.config.preintegration,
+                    ),
+                )
+            yield from self._cache[key]
+
+    def _close_behind(self, candidate: Candidate, index: int) -> int | None:
+        """Index of the last end of a span before a cluster, where no sample lies between.
+
+        It is the same for all candidates that begin alike. The graph of base has no such factors.
+        """
+        config = self._in.config
+        if not config.graph.dead_reckoning or config.selection.strategy == Strategy.BASE:
+            return None
+        ends = {link.end for link in candidate.connections}
+        if index in ends:
+            return None
+        behind = max((end for end in ends if end < index), default=HEAD)
+        if behind == HEAD and not self._in.frontier.head_inertial:
+            return None
+        since, until = self._ends(candidate, behind)[1], candidate.clusters[index].stamp
+        low, high = np.searchsorted(self._in.series.stamps, (since, until), side='left')
+        near = until - since <= round(config.preintegration.max_gap * NANOSECONDS)
+        return behind if near and low == high else None
 
     def _chain_starts(self, candidate: Candidate, links: Sequence[Connection]) -> Sequence[Factor]:
         """What holds velocity and bias where one of ``links`` does not go on from an older one.

@@ -30,6 +30,7 @@ class FactorKind(StrEnum):
     BRIDGE = 'bridge'
     CLOSURE = 'closure'
     DEAD_RECKONING = 'dead_reckoning'
+    IMU_PART = 'imu_part'
 
 
 BETWEEN_STATES = frozenset({FactorKind.CONSTANT_VELOCITY, FactorKind.BIAS_RANDOM_WALK})
@@ -246,8 +247,13 @@ def imu_factor(
         factor=factor,
         sensor=sensor,
         stamps=(int(samples[0]), int(samples[-1])),
-        describe=partial(_describe_imu, span, len(samples)),
+        describe=describe_imu(span, len(samples)),
     )
+
+
+def describe_imu(span: tuple[int, int], samples: int) -> Describe:
+    """The ``Factor.describe`` of pre-integrated samples between two stamps (ns)."""
+    return partial(_describe_imu, span, samples)
 
 
 def _describe_imu(span: tuple[int, int], samples: int, factor: Any) -> dict[str, Any]:
@@ -378,6 +384,7 @@ def beside_gtsam(factor: Factor) -> dict[str, Any]:
 _BESIDE = {
     FactorKind.GNSS: ('covariance', 'lever_arm'),
     FactorKind.IMU: ('span_ns', 'samples'),
+    FactorKind.IMU_PART: ('span_ns', 'samples'),
     FactorKind.CLOSURE: ('covariance',),
 }
 
@@ -392,9 +399,9 @@ def describer(kind: FactorKind, beside: Mapping[str, Any]) -> Describe:
     if kind is FactorKind.GNSS:
         covariance, arm = np.array(beside['covariance']), np.array(beside['lever_arm'])
         return partial(_describe_gnss, covariance, arm)
-    if kind is FactorKind.IMU:
+    if kind in (FactorKind.IMU, FactorKind.IMU_PART):
         start, end = beside['span_ns']
-        return partial(_describe_imu, (start, end), beside['samples'])
+        return describe_imu((start, end), beside['samples'])
     if kind is FactorKind.CLOSURE:
         covariance = np.zeros((6, 6))
         covariance[UPPER] = beside['covariance']

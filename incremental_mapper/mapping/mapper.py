@@ -21,6 +21,7 @@ from incremental_mapper.frontend import preprocessing
 from incremental_mapper.frontend.front_end import FrontEnd, Preparation, Prepared
 from incremental_mapper.frontend.imu_preintegration import (
     EMPTY_SERIES,
+    SMOOTHED,
     ImuSeries,
     preintegration_parameters,
 )
@@ -465,7 +466,9 @@ class Mapper:
         self._georeference()
         # Samples after the last cluster stamp belong to the next window.
         frontier, self._around = self._state.frontier, self._series
-        self._series = self._series.since(min(frontier.head_stamp, frontier.newest_stamp))
+        # The change of a turn at a sample is told by those around it.
+        unused = min(frontier.head_stamp, frontier.newest_stamp)
+        self._series = self._series.since(unused - SMOOTHED)
         self._watch.grown(self._state)
 
     def _keep_orientation(self, sample: ImuSample) -> None:

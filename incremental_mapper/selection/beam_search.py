@@ -232,10 +232,13 @@ class _Search:
         # A chain that starts anew goes on from the last velocity and bias.
         inertial = set[int]()
         if candidate.connections:
-            last = candidate.clusters[candidate.connections[-1].end]
-            inertial.add(number(last))
+            last = number(candidate.clusters[candidate.connections[-1].end])
+            inertial.add(last)
+            needed.add(pose_key(last))  # a cluster close behind it hangs on it
         elif self._frontier.inertial is not None:
             inertial.add(self._frontier.inertial)
+            if self._frontier.head is not None and self._frontier.head_inertial:
+                needed.add(pose_key(self._frontier.head))
         if node is not None:
             if node == HEAD:
                 assert self._frontier.head is not None

@@ -4,6 +4,7 @@ FACTOR_COLOURS = {
     'odometry': (0.9, 0.6, 0.0),
     'imu': (0.35, 0.7, 0.9),
     'gnss': (0.0, 0.6, 0.5),
+    'imu_part': (0.6, 0.8, 0.9),
     'dead_reckoning': (0.6, 0.8, 0.9),
     'bridge': (0.8, 0.2, 0.2),
     'closure': (0.8, 0.6, 0.7),

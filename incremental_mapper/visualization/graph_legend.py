@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 
 LOOSE = {
     'bridge': 'bridge',
+    'imu_part': 'part of an IMU span',
     'dead_reckoning': 'dead reckoning',
     'continuity_velocity': 'velocity goes on',
     'continuity_bias': 'bias walks',

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from incremental_mapper.config import ImuSettings
 from incremental_mapper.frontend.imu_preintegration import (
     EMPTY_SERIES,
+    SMOOTHED,
     ImuSeries,
     level_rotation,
     preintegrate,
@@ -245,3 +246,49 @@ def test_noise_of_the_imu_is_what_the_settings_say():
     ):
         assert covariance == pytest.approx(np.eye(3) * sigma**2, rel=1e-12)
     assert found.getBodyPSensor().matrix() == pytest.approx(mounted)
+
+
+def sinking_back(stamps, arm, noise=0.0):
+    """What an IMU above a car measures that sinks back by 12 mrad within a second, level before.
+
+    Its centre, base_link, stands still; gravity is as it is felt while it turns.
+    """
+    t = np.clip((np.asarray(stamps) - EPOCH) / SECOND, 0.0, 1.0)
+    sag = 0.012
+    angle = -sag * (3 * t**2 - 2 * t**3)
+    rate, change = -sag * (6 * t - 6 * t**2), -sag * (6 - 12 * t)
+    zero = np.zeros(len(t))
+    gyro = np.column_stack([zero, rate, zero])
+    gyro += noise * np.random.default_rng(5).normal(size=gyro.shape)
+    swing = np.cross(np.column_stack([zero, change, zero]), arm)
+    force = np.column_stack([-GRAVITY * np.sin(angle), zero, GRAVITY * np.cos(angle)]) + swing
+    return ImuSeries(np.asarray(stamps, dtype=np.int64), gyro, force)
+
+
+@pytest.mark.parametrize('noise', [0.0, 0.005])
+def test_an_imu_on_the_roof_of_a_car_that_sinks_back_says_that_the_car_stands(noise):
+    """It comes 20 mm back itself. Samples reach the series window by window, 0.1 s at a time."""
+    arm = np.array([0.0, 0.0, 1.7])
+    pose = np.eye(4)
+    pose[:3, 3] = arm
+    stamps = EPOCH + np.arange(5_000_000, SECOND, 10_000_000)
+    whole = sinking_back(stamps, arm, noise)
+    known, state = EMPTY_SERIES, gtsam.NavState(gtsam.Pose3(), np.zeros(3))
+    for start in range(EPOCH, EPOCH + SECOND, SECOND // 10):
+        part = whole.within(start, start + SECOND // 10)
+        rows = zip(part.stamps, part.gyro, part.acceleration, strict=True)
+        known = known.since(start - SMOOTHED).joined(
+            [make_imu(row[0], 'imu', *row[1:]) for row in rows]
+        )
+        span = preintegrate(known, start, start + SECOND // 10, parameters(pose), NO_BIAS)
+        state = span.predict(state, NO_BIAS)
+    assert np.linalg.norm(state.velocity()) < (0.004 if noise == 0.0 else 0.01)
+    assert np.linalg.norm(state.position()) < (0.003 if noise == 0.0 else 0.01)
+
+
+def test_the_change_of_a_turn_is_not_told_across_holes_nor_by_a_sample_alone():
+    hole = series([EPOCH, EPOCH + SECOND], gyro=(0.0, 0.0, 0.0))
+    hole.gyro[1] = 3.0
+    assert not hole.changes.any()
+    assert not series([EPOCH]).changes.any()
+    assert EMPTY_SERIES.changes.shape == (0, 3)

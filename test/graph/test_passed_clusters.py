@@ -7,7 +7,7 @@ from turning_car import MS, known_state, problem_of, settings, true_values, trut
 
 from incremental_mapper.candidates.enumeration import candidates
 from incremental_mapper.candidates.model import HEAD
-from incremental_mapper.config import ImuSettings
+from incremental_mapper.config import ImuSettings, Strategy
 from incremental_mapper.graph.factors import (
     FactorKind,
     bias_prior,
@@ -15,7 +15,7 @@ from incremental_mapper.graph.factors import (
     pose_sigmas,
     velocity_prior,
 )
-from incremental_mapper.graph.passed_clusters import MotionSigmas, passed_sigmas
+from incremental_mapper.graph.passed_clusters import passed_sigmas
 from incremental_mapper.variables import bias_key, pose_key, velocity_key
 
 IMU = ImuSettings()
@@ -35,12 +35,8 @@ def passed_over(problem, *ends):
     raise AssertionError
 
 
-def dead_reckoned(problem, candidate):
-    return [
-        factor
-        for factor in problem.factors.factors(candidate)
-        if factor.kind is FactorKind.DEAD_RECKONING
-    ]
+def made_of(kind, problem, candidate):
+    return [factor for factor in problem.factors.factors(candidate) if factor.kind is kind]
 
 
 def test_each_cluster_hangs_on_the_start_of_the_span_that_passes_over_it():
@@ -48,16 +44,59 @@ def test_each_cluster_hangs_on_the_start_of_the_span_that_passes_over_it():
     candidate = passed_over(problem, 1, 3)
     assert [link.start for link in candidate.connections] == [HEAD, 1]
     number = [problem.partitions.number(cluster) for cluster in candidate.clusters]
-    found = dead_reckoned(problem, candidate)
+    found = made_of(FactorKind.IMU_PART, problem, candidate)
     head = problem.inputs.frontier.head
+    # Pose and velocity of the start, the pose, the velocity that stands for its own, and the bias.
+    assert [factor.keys[:4] for factor in found] == [
+        (pose_key(head), velocity_key(head), pose_key(number[0]), velocity_key(number[1])),
+        (
+            pose_key(number[1]),
+            velocity_key(number[1]),
+            pose_key(number[2]),
+            velocity_key(number[3]),
+        ),
+    ]
+    values = true_values(candidate, problem)
+    for factor in found:
+        assert np.abs(factor.factor.unwhitenedError(values)[:6]).max() < 2e-3
+    assert not made_of(FactorKind.IMU_PART, problem, passed_over(problem, 0, 1, 2, 3))
+
+
+def test_nothing_is_said_of_the_velocity_of_a_cluster_on_the_way():
+    problem = problem_of(WINDOW, config=ON)
+    candidate = passed_over(problem, 1, 3)
+    values = true_values(candidate, problem)
+    (factor, _) = made_of(FactorKind.IMU_PART, problem, candidate)
+    before = factor.factor.error(values)
+    standing_for_it = factor.keys[3]
+    values.update(standing_for_it, values.atVector(standing_for_it) + 5.0)
+    assert factor.factor.error(values) == pytest.approx(before, abs=1e-3)
+
+
+CLOSE = {
+    40 * MS + MS // 2: {'left'},
+    42 * MS: {'right'},
+    140 * MS + MS // 2: {'left'},
+    142 * MS: {'right'},
+}
+"""No sample of the IMU lies between a scan of the left and that of the right LiDAR."""
+
+
+@pytest.mark.parametrize(
+    ('strategy', 'expected'), [(Strategy.MOM, [(0, 1), (2, 3)]), (Strategy.BASE, [])]
+)
+def test_a_cluster_that_no_sample_parts_from_the_end_of_a_span_hangs_on_it(strategy, expected):
+    config = settings(graph={'dead_reckoning': True}, selection={'strategy': strategy})
+    problem = problem_of(CLOSE, config=config)
+    candidate = passed_over(problem, 0, 2)
+    number = [problem.partitions.number(cluster) for cluster in candidate.clusters]
+    found = made_of(FactorKind.DEAD_RECKONING, problem, candidate)
     assert [factor.keys for factor in found] == [
-        (pose_key(head), pose_key(number[0])),
-        (pose_key(number[1]), pose_key(number[2])),
+        (pose_key(number[first]), pose_key(number[second])) for first, second in expected
     ]
     values = true_values(candidate, problem)
     for factor in found:
         assert np.abs(factor.factor.unwhitenedError(values)).max() < 2e-3
-    assert not dead_reckoned(problem, passed_over(problem, 0, 1, 2, 3))
 
 
 def spread(problem, candidate):
@@ -93,14 +132,15 @@ def test_a_cluster_is_nearly_as_exact_without_velocity_and_bias_as_with_them():
 
 
 @pytest.mark.parametrize('passed', [0.01, 0.1, 0.19])
-def test_a_rotation_within_a_span_is_as_uncertain_as_a_bridge_between_its_ends(passed):
-    sigmas = passed_sigmas(passed, 0.2, MotionSigmas(0.0, 0.0), IMU)
-    bridge = IMU.gyroscope_noise * np.sqrt(passed * (0.2 - passed) / 0.2)
-    assert sigmas[:3] == pytest.approx([max(bridge, 0.0001)] * 3)
-
-
-def test_what_is_unknown_of_velocity_and_bias_grows_with_the_way():
-    sigmas = [passed_sigmas(t, 0.4, MotionSigmas(0.5, 0.02), IMU) for t in (0.1, 0.2)]
-    assert sigmas[0][3:] == pytest.approx([0.15] * 3, rel=0.01)
-    assert sigmas[1][3:] == pytest.approx([0.3] * 3, rel=0.01)
-    assert sigmas[1][0] == pytest.approx(0.004, rel=0.02)
+def test_noise_within_a_span_is_that_between_two_known_ends(passed):
+    """White noise is drawn, integrated up to the cluster, and freed of what the end tells."""
+    span, step, rng = 0.2, 0.0005, np.random.default_rng(3)
+    noise = rng.normal(size=(4000, round(span / step))) / np.sqrt(step)
+    turned = np.cumsum(noise, axis=1) * step
+    moved = np.cumsum(turned, axis=1) * step
+    at, share = round(passed / step) - 1, passed / span
+    rotation = IMU.gyroscope_noise * np.std(turned[:, at] - share * turned[:, -1])
+    position = IMU.accelerometer_noise * np.std(moved[:, at] - share * moved[:, -1])
+    found = passed_sigmas(passed, span, IMU)
+    assert found[0] == pytest.approx(max(rotation, 0.0001), rel=0.1)
+    assert found[1] == pytest.approx(max(position, 0.001), rel=0.1)
