@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
 from incremental_mapper.closures.candidate_pairs import (
+    Candidate,
     Relative,
     by_looks,
     by_place,
@@ -37,6 +38,11 @@ class Found:
     candidates: int = 0
     refused: Counter[str] = field(default_factory=Counter)
     tested: Tested = field(default_factory=dict)
+
+
+def in_order(pair: Candidate) -> tuple[int, int]:
+    """By what comes first of candidates that are registered: those of the earlier way."""
+    return pair.second, pair.first
 
 
 def find_closures(
@@ -76,7 +82,7 @@ def find_closures(
     tried = registered = 0
     known_pairs, registrations = dict(tested), dict(tested)
     best: dict[tuple[int, int], Closure] = {}
-    for candidate in sorted(candidates, key=lambda one: (one.second, one.first)):
+    for candidate in sorted(candidates, key=in_order):
         pair = candidate.first, candidate.second
         if pair in best:
             continue

@@ -7,13 +7,20 @@ import math
 from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import islice
 
 import gtsam
 import numpy as np
 
-from incremental_mapper.closures.candidate_pairs import INSTALL, by_place, can_recognise
+from incremental_mapper.closures.candidate_pairs import (
+    INSTALL,
+    Candidate,
+    by_place,
+    can_recognise,
+)
 from incremental_mapper.closures.local_maps import LocalMap, Stretch, cut_local_maps, cut_way
-from incremental_mapper.closures.search import Found, Pair, Tested, find_closures
+from incremental_mapper.closures.search import Found, Pair, Tested, find_closures, in_order
+from incremental_mapper.closures.verification import conceivable
 from incremental_mapper.config import ClosureSettings, Config
 from incremental_mapper.errors import OutputError
 from incremental_mapper.graph.factors import Factor, FactorKind, closure_factor
@@ -182,11 +189,12 @@ def _more(
         return cut_local_maps(stretches, clusters, scans, values, settings, wanted=wanted)
 
     maps = cut(())
-    pairs = [
-        (maps[one.first].cluster, maps[one.second].cluster) for one in by_place(maps, settings)
-    ]
-    wanted = {cluster for pair in pairs if pair not in tested for cluster in pair}
-    if not wanted and not recognise:
+
+    def names(pair: Candidate) -> Pair:
+        return maps[pair.first].cluster, maps[pair.second].cluster
+
+    untested = [pair for pair in by_place(maps, settings) if names(pair) not in tested]
+    if not untested and not recognise:
         return None
     plain = state.factors.unpacked()
     places = _known_places((*plain, *state.closures), values, maps)
@@ -195,8 +203,21 @@ def _more(
     if places is None or alone is None:
         return None
     recognise = recognise and not alone.certain(maps, settings)
-    if not wanted and not recognise:
+    if not untested and not recognise:
         return None
+    if most < len(untested):
+        # Points of those alone that will be registered: to cut all took most of a save.
+        untested = list(
+            islice(
+                (
+                    pair
+                    for pair in sorted(untested, key=in_order)
+                    if conceivable(pair, places.relative(maps[pair.first], maps[pair.second]))
+                ),
+                int(most),
+            )
+        )
+    wanted = {cluster for pair in untested for cluster in names(pair)}
     try:
         maps = cut(None if recognise else wanted)
     except OutputError:

@@ -15,7 +15,7 @@ from incremental_mapper.config import Config
 from incremental_mapper.graph.factors import FactorKind, between_factor, pose_prior, pose_sigmas
 from incremental_mapper.graph.frontier import Frontier
 from incremental_mapper.map.store import MemoryStore
-from incremental_mapper.mapping import live_closing
+from incremental_mapper.mapping import live_closing, loop_closing
 from incremental_mapper.mapping.final_solve import final_values
 from incremental_mapper.mapping.live_closing import (
     MOST_FAILED,
@@ -225,6 +225,24 @@ def test_what_is_saved_has_its_closures_without_comparing_anything_again(closed)
     whole = close_loops(GraphState(clusters=drive.state.clusters, factors=drive.state.factors,
                                    scans=drive.state.scans), values, LIVE)  # fmt: skip
     assert abs(len(more.factors) - len(whole.factors)) <= 1
+
+
+def test_points_are_gathered_of_those_places_alone_that_are_compared(closed, monkeypatch):
+    drive, _, _, _ = closed
+    read, cut = [], loop_closing.cut_local_maps
+
+    def spy(*given, wanted):
+        read.append(wanted)
+        return cut(*given, wanted=wanted)
+
+    monkeypatch.setattr(loop_closing, 'cut_local_maps', spy)
+    # What is looked for by its looks is read as a whole.
+    monkeypatch.setattr(loop_closing, 'can_recognise', lambda: False)
+    values, _ = final_values(drive.state, LIVE)
+    saved = LiveLoops(drive.state, LIVE, RunHere()).of_all(values, most=2)
+    compared = [pair for pair, outcome in saved.looked.tested.items() if outcome != 'improbable']
+    assert len(compared) == 2 and saved.refused[LEFT] > 0
+    assert read == [(), {cluster for pair in compared for cluster in pair}]
 
 
 def test_a_journal_of_it_says_the_same(closed):
