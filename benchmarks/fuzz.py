@@ -52,6 +52,8 @@ ALONE_RATE = 0.5
 START = 600.0
 """Seconds that the node has to start: one that was never run compiles first, on a busy machine for
 minutes."""
+LOOKS = 15
+"""Diagnostics in which a node that is sent nothing tells of no more messages."""
 LOOK = 0.2
 """Seconds between two looks at a program's memory."""
 TYPES = {
@@ -163,7 +165,7 @@ def run_node(sent: Sequence[Sent], settings: Path, out: Path, domain: int, rate:
     with _node(settings, out, domain) as (process, client, log):
         memory = Memory(process.pid)
         began = time.monotonic()
-        publish(sent, domain, rate, lambda: _waiting(client, process), lambda: _taken(client))
+        publish(sent, domain, rate, lambda: _waiting(client, process), Taken(client))
         pace = len(sent) / (time.monotonic() - began)
         status, said = 0, ''
         try:
@@ -190,15 +192,24 @@ def _waiting(client: Any, process: Any) -> int:
     return int(client.diagnostics[-1]['worker']['queue_core'])
 
 
-def _taken(client: Any) -> None:
-    """Wait until the node has taken in what it was sent."""
-    before = -1
-    while True:
-        parts = client.fresh_diagnostics(300.0)
-        received = sum(part.get('received', 0) for part in parts.values())
-        if received == before:
-            return
-        before = received
+class Taken:
+    """Waits until the node has taken what it was sent; some of it no subscription can read."""
+
+    def __init__(self, client: Any) -> None:
+        self._client = client
+        self._unread = 0
+
+    def __call__(self, sent: int) -> None:
+        """``sent`` are the messages so far."""
+        before, same = -1, 0
+        while same < LOOKS:
+            parts = self._client.fresh_diagnostics(300.0)
+            received = sum(part.get('received', 0) for part in parts.values())
+            if received >= sent - self._unread:
+                return
+            same = same + 1 if received == before else 0
+            before = received
+        self._unread = sent - before
 
 
 def _settle(client: Any) -> None:
@@ -219,7 +230,7 @@ def publish(
     domain: int,
     rate: float,
     waiting: Callable[[], int] = lambda: 0,
-    taken: Callable[[], None] = lambda: None,
+    taken: Callable[[int], None] = lambda sent: None,
 ) -> None:
     """Send messages as they are, at ``rate`` times the pace at which they were recorded.
 
@@ -253,14 +264,13 @@ def publish(
                 raise TimeoutError('the node does not listen')
             time.sleep(0.1)
         begin, first = time.monotonic(), sent[0].logged
-        for number, item in enumerate(sent):
-            if item.topic not in publishers:
-                continue
+        own = [item for item in sent if item.topic in publishers]
+        for number, item in enumerate(own):
             wait = begin + (item.logged - first) / 1e9 / rate - time.monotonic()
             if wait > 0.001:
                 time.sleep(wait)
             if waiting() > FULL or number % BATCH == BATCH - 1:
-                taken()
+                taken(number)
                 while waiting() > EMPTY:
                     time.sleep(LOOK)
                 # Later messages keep their distance from this one.
