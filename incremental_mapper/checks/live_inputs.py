@@ -236,3 +236,19 @@ def unheard_publishers(
         f'{override} asks for reliable',
         f'take {override} out, or let it publish reliable',
     )
+
+
+def second_mapper(topic: str) -> Finding:
+    """Another node publishes the same as this one.
+
+    Args:
+        topic: A topic of both.
+    """
+    return Finding(
+        'second_mapper',
+        Severity.WARNING,
+        '',
+        f'another node publishes on {topic}: whoever listens gets the poses of two maps in turn, '
+        'and a service is answered by either',
+        'end one of them, or give each its own name or namespace (-r __node:=..., -r __ns:=...)',
+    )

@@ -45,6 +45,7 @@ from incremental_mapper.ros.live_extrinsics import (
     all_given,
     listen_to_transforms,
 )
+from incremental_mapper.ros.namesakes import Namesakes
 from incremental_mapper.ros.parameters import NodeParameters
 from incremental_mapper.ros.programs import NODE_NAME
 from incremental_mapper.ros.publishers import Outputs, node_name
@@ -118,6 +119,7 @@ class MapperNode:
         # By when they reached the middleware: a machine that is busy leaves messages there.
         self._worker.inbox.clock = lambda: self._inputs.moment
         self._watch = InputWatch(self._inputs.topics, config.lidars)
+        self._namesakes = Namesakes(self.node)
         self._extrinsics = self._make_extrinsics()
         self._worker.save_settings = lambda: self.parameters.config.save
         self._worker.outside_drops = self._outside_drops
@@ -278,6 +280,7 @@ class MapperNode:
         self._findings.of_part('places', self._extrinsics.findings)
         self._findings.of_part('transport', self._inputs.of_transport())
         self._findings.of_part('clocks', self._worker.clock_steps)
+        self._findings.of_part('namesakes', self._namesakes.findings())
 
     @property
     def _topic_keys(self) -> dict[str, str]:

@@ -98,7 +98,7 @@ def test_winner_has_the_lowest_score_or_is_smaller_and_ties_with_it(recorded):
             assert all(row['connected'] and row['solved'] for row in rows if row['winner'])
             assert {row['score_name'] for row in rows} == {window.row['score_name']}
     assert judged > 10
-    assert sum(window.row["saved_vertices"] for window in windows) > 5
+    assert sum(window.row['saved_vertices'] for window in windows) > 5
 
 
 def test_file_describes_its_columns(recorded):
