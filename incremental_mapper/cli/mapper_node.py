@@ -1,5 +1,6 @@
 """``mapper_node``: the program of the ROS 2 node, which says so where there is no ROS."""
 
+import signal
 import sys
 from collections.abc import Sequence
 
@@ -19,6 +20,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     words = sys.argv if arguments is None else list(arguments)
     read_own_arguments(words[1:])
+    # The node handles signals itself. To load it takes a second, and there is nothing to save yet.
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
     try:
         from incremental_mapper.ros import node
     except ImportError as error:

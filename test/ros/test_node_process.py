@@ -1,5 +1,6 @@
 """The node as a program of its own: what keeps it from starting."""
 
+import signal
 import subprocess
 import sys
 
@@ -75,3 +76,23 @@ def test_without_ros_the_program_says_so(monkeypatch, capsys):
     assert mapper_node.main(['mapper_node']) == 1
     err = capsys.readouterr().err
     assert 'pip install "incremental_mapper[ros]"' in err and err.count('\n') == 1
+
+
+def test_a_signal_while_the_node_is_loaded_ends_it_without_a_traceback():
+    code = """
+import os, signal, sys
+from incremental_mapper.cli import mapper_node
+
+class Interrupted:
+    def find_spec(self, name, *_):
+        if name == 'incremental_mapper.ros.node':
+            os.kill(os.getpid(), signal.SIGINT)
+
+signal.signal(signal.SIGINT, signal.default_int_handler)
+sys.meta_path.insert(0, Interrupted())
+mapper_node.main(['mapper_node'])
+"""
+    ended = subprocess.run(
+        [sys.executable, '-c', code], capture_output=True, text=True, check=False
+    )
+    assert ended.returncode == -signal.SIGINT and ended.stderr == ''
