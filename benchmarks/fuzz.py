@@ -52,7 +52,7 @@ ALONE_RATE = 0.5
 START = 600.0
 """Seconds that the node has to start: one that was never run compiles first, on a busy machine for
 minutes."""
-LOOKS = 15
+LOOKS = 5
 """Diagnostics in which a node that is sent nothing tells of no more messages."""
 LOOK = 0.2
 """Seconds between two looks at a program's memory."""
