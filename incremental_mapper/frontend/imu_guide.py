@@ -21,6 +21,9 @@ Array = NDArray[np.float64]
 
 UNKNOWN_SPEED, MATCHED_SPEED = 20.0, 0.5
 """Standard deviation of a velocity, m/s, that nobody knows, and that one match told."""
+REPEATED = 3.0
+"""Factor on the covariance of a match: one after the other is made to much the same map, and
+repeats its errors, which a filter that takes them for independent would follow."""
 LEVELLED = 1.5
 """Standard deviation of gravity, m/s^2, by the mean force over a sweep: vehicles accelerate."""
 HARDEST = 40.0
@@ -183,6 +186,7 @@ class ImuGuide:
         """
         turn = motion.rotation().matrix()
         own = np.diag(np.repeat(np.square(self._noise), 3)) if covariance is None else covariance
+        own = REPEATED * own
         self._learn_bias(leap, turn, own)
         shift = motion.translation() - self._arm + turn @ self._arm
         corrected = before.corrected(leap, shift, turn @ own[3:, 3:] @ turn.T)
