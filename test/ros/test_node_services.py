@@ -20,7 +20,7 @@ from ros_helpers import (
     map_offline,
 )
 
-import incremental_mapper.mapping.mapper as mapper_module
+import incremental_mapper.mapping.incremental_graph as graph_module
 from incremental_mapper.errors import ConfigError
 from incremental_mapper.mapping.commit import commit
 from incremental_mapper.ros import saving as saving_module
@@ -203,7 +203,7 @@ def explosive(monkeypatch):
             raise ValueError('the mapper explodes')
         return commit(*arguments)
 
-    monkeypatch.setattr(mapper_module, 'commit', explode)
+    monkeypatch.setattr(graph_module, 'commit', explode)
 
 
 @pytest.mark.parametrize('saves', [True, False])
