@@ -11,6 +11,7 @@ from incremental_mapper.config import Config
 from incremental_mapper.frontend.front_end import Prepared, PreparedFix
 from incremental_mapper.frontend.lidar_odometry import PreparedScan
 from incremental_mapper.graph.factors import Factor, gnss_factor, velocity_prior
+from incremental_mapper.mapping.standstill import SPAN
 from incremental_mapper.measurements import NANOSECONDS, NO_VERTICAL_SIGMA
 from incremental_mapper.quantiles import chi_squared
 from incremental_mapper.selection.window_problem import fix_spread
@@ -20,6 +21,10 @@ from incremental_mapper.variables import pose_key, velocity_key
 
 STANDING_SIGMA = 0.02
 """m/s; standard deviation of the velocity of a vehicle that stands."""
+NOTICED = SPAN
+"""Nanoseconds after which it is noticed that a vehicle has set off. The span to come starts so much
+earlier, where it stood for certain: one that pulls away at 0.03 m/s when its span starts, and is
+said to stand there, came 26 mm less far within 1.5 s."""
 SURPRISE = chi_squared(0.9999, 3)
 """Squared Mahalanobis distance beyond which a fix says that the vehicle stands elsewhere."""
 
@@ -34,8 +39,8 @@ def join(state: GraphState, items: Sequence[Prepared], config: Config) -> float 
     """Let measurements of a vehicle that stands join the newest cluster.
 
     Fixes become factors of its pose. Scans add nothing, neither factors nor points: the next
-    ones are matched to them, from where the cluster is. The spans to come start at the newest
-    of the measurements, so the IMU's bias is taken as constant while the vehicle stands.
+    ones are matched to them, from where the cluster is. The span to come starts ``NOTICED`` before
+    the newest of the measurements, so the IMU's bias is taken as constant while the vehicle stands.
 
     Args:
         state: G(t-1), which becomes G(t); ``joinable``.
@@ -93,12 +98,13 @@ def join(state: GraphState, items: Sequence[Prepared], config: Config) -> float 
     scans = [item.core for item in items if isinstance(item, PreparedScan) and item.usable]
     chains = {**frontier.chains, **{core.sensor: (head, core.stamp) for core in scans}}
     max_gap = round(config.odometry.max_gap * NANOSECONDS)
+    stood = max(frontier.head_stamp, stamp - NOTICED)
     state.advance(
         replace(
             frontier,
             chains={name: chain for name, chain in chains.items() if stamp - chain[1] <= max_gap},
-            head_stamp=stamp,
-            inertial_stamp=stamp,
+            head_stamp=stood,
+            inertial_stamp=stood,
             newest_stamp=stamp,
         ),
         np.zeros(3),

@@ -33,10 +33,19 @@ def test_variables_stay_and_the_frontier_goes_on():
     assert state.clusters[0].joined == tuple(item.core for item in items)
     assert state.clusters[0].stood == (130 * MS,)
     frontier = state.frontier
-    assert (frontier.head_stamp, frontier.newest_stamp, frontier.inertial_stamp) == (130 * MS,) * 3
+    assert frontier.newest_stamp == 130 * MS
     assert frontier.chains == {'left': (0, 100 * MS), 'right': (0, 130 * MS)}
     assert all(offset.equals(gtsam.Pose3(), 1e-12) for offset in state.scan_offsets.values())
     assert state.factor_counts[FactorKind.GNSS] == 1
+
+
+def test_the_span_to_come_starts_where_the_vehicle_stood_for_certain():
+    """It is noticed late that one sets off: its velocity is zero half a second before that."""
+    state = standing_state()
+    for end, start in ((100, 0), (400, 0), (600, 100), (900, 400)):
+        join(state, [scan(end * MS, 'left', (end - 100) * MS)], settings())
+        assert state.frontier.head_stamp == state.frontier.inertial_stamp == start * MS
+        assert state.frontier.newest_stamp == end * MS
 
 
 def test_the_average_of_many_fixes_is_where_it_stands():
