@@ -176,7 +176,7 @@ class IncrementalGraph:
         """Let the measurements join the newest cluster; None where a fix contradicts."""
         started = time.perf_counter()
         try:
-            error = join(self.state, prepared, self._config)
+            error = join(self.state, prepared, self._config, self._series.stamps)
         except MapperError:
             raise
         except Exception:

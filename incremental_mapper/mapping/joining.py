@@ -35,17 +35,21 @@ def joinable(state: GraphState) -> bool:
     return frontier.head is not None and frontier.head_inertial and frontier.head == frontier.newest
 
 
-def join(state: GraphState, items: Sequence[Prepared], config: Config) -> float | None:
+def join(
+    state: GraphState, items: Sequence[Prepared], config: Config, samples: NDArray[np.int64]
+) -> float | None:
     """Let measurements of a vehicle that stands join the newest cluster.
 
     Fixes become factors of its pose. Scans add nothing, neither factors nor points: the next
     ones are matched to them, from where the cluster is. The span to come starts ``NOTICED`` before
-    the newest of the measurements, so the IMU's bias is taken as constant while the vehicle stands.
+    the newest of the measurements, or behind a later hole of the IMU, which no span could cross. So
+    the IMU's bias is taken as constant while the vehicle stands.
 
     Args:
         state: G(t-1), which becomes G(t); ``joinable``.
         items: The measurements, in time order, at least one.
         config: All settings.
+        samples: Stamps (K,) of the IMU's samples since the span to come started so far, ns.
 
     Returns:
         Σ‖h(x)−z‖²_Σ of the new factors; None where a fix contradicts, and nothing has changed.
@@ -98,7 +102,8 @@ def join(state: GraphState, items: Sequence[Prepared], config: Config) -> float 
     scans = [item.core for item in items if isinstance(item, PreparedScan) and item.usable]
     chains = {**frontier.chains, **{core.sensor: (head, core.stamp) for core in scans}}
     max_gap = round(config.odometry.max_gap * NANOSECONDS)
-    stood = max(frontier.head_stamp, stamp - NOTICED)
+    longest = round(config.preintegration.max_gap * NANOSECONDS)
+    stood = _behind_holes(samples, max(frontier.head_stamp, stamp - NOTICED), stamp, longest)
     state.advance(
         replace(
             frontier,
@@ -111,6 +116,14 @@ def join(state: GraphState, items: Sequence[Prepared], config: Config) -> float 
         stamp - round(config.graph.lag * NANOSECONDS),
     )
     return error
+
+
+def _behind_holes(samples: NDArray[np.int64], start: int, end: int, longest: int) -> int:
+    """The first stamp from ``start`` on, ns, from which samples go on to ``end`` without a hole."""
+    inside = samples[(samples >= start) & (samples < end)]
+    stamps = np.array([start, *inside, end])
+    holes = np.flatnonzero(np.diff(stamps) > longest)
+    return int(stamps[holes[-1] + 1]) if len(holes) else start
 
 
 def _antenna_covariance(

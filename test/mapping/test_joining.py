@@ -10,6 +10,9 @@ from incremental_mapper.graph.factors import FactorKind
 from incremental_mapper.mapping.joining import STANDING_SIGMA, join, joinable
 from incremental_mapper.variables import velocity_key
 
+SAMPLES = np.arange(0, 60_000, 10) * MS
+"""Stamps of an IMU of 100 Hz."""
+
 
 def fix_at(stamp, apart=(0.0, 0.0, 0.0), sigma=0.05):
     """A fix of a car that has stood at START since stamp 0."""
@@ -28,7 +31,7 @@ def test_variables_stay_and_the_frontier_goes_on():
     state = standing_state()
     items = [scan(100 * MS, 'left', 0), fix_at(120 * MS), scan(130 * MS, 'right', -30 * MS)]
     assert joinable(state)
-    join(state, items, settings())
+    join(state, items, settings(), SAMPLES)
     assert len(state.clusters) == 1 and len(state.scans) == 2
     assert state.clusters[0].joined == tuple(item.core for item in items)
     assert state.clusters[0].stood == (130 * MS,)
@@ -43,16 +46,27 @@ def test_the_span_to_come_starts_where_the_vehicle_stood_for_certain():
     """It is noticed late that one sets off: its velocity is zero half a second before that."""
     state = standing_state()
     for end, start in ((100, 0), (400, 0), (600, 100), (900, 400)):
-        join(state, [scan(end * MS, 'left', (end - 100) * MS)], settings())
+        join(state, [scan(end * MS, 'left', (end - 100) * MS)], settings(), SAMPLES)
         assert state.frontier.head_stamp == state.frontier.inertial_stamp == start * MS
         assert state.frontier.newest_stamp == end * MS
+
+
+@pytest.mark.parametrize(
+    ('missing', 'start'), [((700, 760), 400), ((500, 700), 700), ((500, 900), 900), ((0, 900), 900)]
+)
+def test_no_span_starts_before_a_hole_that_it_could_not_cross(missing, start):
+    state = standing_state()
+    hole = slice(missing[0] // 10, missing[1] // 10)
+    samples = np.delete(SAMPLES, hole)
+    join(state, [scan(900 * MS, 'left', 800 * MS)], settings(), samples)
+    assert state.frontier.head_stamp == state.frontier.inertial_stamp == start * MS
 
 
 def test_the_average_of_many_fixes_is_where_it_stands():
     rng, state = np.random.default_rng(0), standing_state(sigma=5.0)
     state.fixes.clear()
     for second in range(1, 41):
-        join(state, [fix_at(second * 1000 * MS, rng.normal(0.0, 0.5, 3), 0.5)], settings())
+        join(state, [fix_at(second * 1000 * MS, rng.normal(0.0, 0.5, 3), 0.5)], settings(), SAMPLES)
     apart = state.pose(0).transformFrom(ARM) - START.transformFrom(ARM)
     assert np.linalg.norm(apart) < 4 * 0.5 / np.sqrt(40)
     assert len(state.fixes) == 40 and state.factor_counts[FactorKind.GNSS] == 40
@@ -62,7 +76,7 @@ def test_the_average_of_many_fixes_is_where_it_stands():
 def test_its_velocity_is_zero_and_that_is_said_once():
     state = known_state(sigma=1.0)
     for step in range(1, 4):
-        join(state, [scan(step * 100 * MS, 'left', (step - 1) * 100 * MS)], settings())
+        join(state, [scan(step * 100 * MS, 'left', (step - 1) * 100 * MS)], settings(), SAMPLES)
     assert state.factor_counts[FactorKind.PRIOR_VELOCITY] == 2  # with that of ``known_state``
     covariance = state.prior.covariance(velocity_key(0))
     assert np.sqrt(covariance.diagonal()) == pytest.approx(STANDING_SIGMA, rel=0.01)
@@ -71,7 +85,7 @@ def test_its_velocity_is_zero_and_that_is_said_once():
 def test_a_fix_that_is_elsewhere_is_not_joined_and_nothing_changes():
     state = standing_state()
     before = (state.frontier, state.clusters[0], len(state.factors), state.prior)
-    assert join(state, [fix_at(100 * MS, (3.0, 0.0, 0.0))], settings()) is None
+    assert join(state, [fix_at(100 * MS, (3.0, 0.0, 0.0))], settings(), SAMPLES) is None
     assert before == (state.frontier, state.clusters[0], len(state.factors), state.prior)
 
 
@@ -82,13 +96,13 @@ def test_no_cluster_that_spans_cannot_start_from_is_joined():
 def test_a_lidar_that_falls_silent_keeps_where_it_was():
     state = standing_state()
     before = state.scan_offsets['right', -30 * MS]
-    join(state, [scan(100 * MS, 'left', 0)], settings())
+    join(state, [scan(100 * MS, 'left', 0)], settings(), SAMPLES)
     assert state.scan_offsets['right', -30 * MS].equals(before, 0.0)
 
 
 def test_one_that_crept_is_matched_from_where_it_came_to():
     state = standing_state()
-    join(state, [scan(100 * MS, 'left', 0)], settings())
+    join(state, [scan(100 * MS, 'left', 0)], settings(), SAMPLES)
     way = gtsam.Pose3(gtsam.Rot3(), np.array([0.04, 0.0, 0.0]))
     state.creep({'left': way, 'unknown': way})
     assert state.scan_offsets['left', 100 * MS].equals(way, 0.0)
