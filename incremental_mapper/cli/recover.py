@@ -8,7 +8,7 @@ from typing import Any
 from incremental_mapper.checks.finding import Severity
 from incremental_mapper.cli import exit_status
 from incremental_mapper.cli.findings_text import print_findings
-from incremental_mapper.errors import MapperError
+from incremental_mapper.errors import InputError, MapperError
 from incremental_mapper.results.journal.recovered_folder import recover_journal
 from incremental_mapper.results.journal.recovery import find_journals
 from incremental_mapper.results.summary import summary
@@ -47,6 +47,12 @@ def run(args: argparse.Namespace) -> int:
     """Run the command; raises MapperError where there is no journal, or a map cannot be written."""
     status = 0
     journals = find_journals(args.journal)
+    if not journals:
+        whole = f'{args.journal}: is the folder of a finished run, and whole'
+        # Who names a folder goes on with it, and must not be told that it is there.
+        if args.out is not None:
+            raise InputError(f'{whole}; {args.out} was not made')
+        print(f'{whole}; nothing is missing')
     for path in journals:
         try:
             status = max(status, _recover(path, args))

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from incremental_mapper.cli.main import main
 from incremental_mapper.errors import InputError
 from incremental_mapper.map.ply import MapCloud, write_ply
 from incremental_mapper.results.journal.recovery import find_journals
@@ -32,8 +33,19 @@ def test_whole_folder_is_taken_and_not_spoken_of(folder, caplog):
     run = FinishedRun(folder)
     assert len(run.points) == 5 and run.stats == {'strategy': 'mom'}
     assert caplog.text == ''
-    with pytest.raises(InputError, match='is the folder of a finished run, and whole'):
-        find_journals(folder)
+    assert find_journals(folder) == []
+
+
+def test_recovering_a_whole_folder_is_no_failure_unless_a_map_is_wanted_elsewhere(folder, capsys):
+    assert main(['recover', str(folder)]) == 0
+    told = capsys.readouterr()
+    assert told.out == f'{folder}: is the folder of a finished run, and whole; nothing is missing\n'
+    assert told.err == ''
+    wanted = folder.parent / 'elsewhere'
+    assert main(['recover', str(folder), '--out', str(wanted)]) == 1
+    told = capsys.readouterr()
+    assert f'finished run, and whole; {wanted} was not made' in told.err
+    assert told.out == '' and not wanted.exists()
 
 
 def test_damaged_file_is_refused_by_name_and_read_with_a_warning(folder, caplog):

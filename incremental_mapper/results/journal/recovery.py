@@ -84,6 +84,9 @@ def find_journals(place: Path) -> list[Path]:
     Args:
         place: The folder, or one journal.
 
+    Returns:
+        The journals; none where it is the folder of a finished run, which is whole.
+
     Raises:
         InputError: There is none; of the folder of a run, what is wrong with it.
     """
@@ -93,7 +96,7 @@ def find_journals(place: Path) -> list[Path]:
         raise InputError(f'{place}: does not exist; expected a journal, or a folder of journals')
     if (place / STATISTICS).is_file():
         require_whole(place)
-        raise InputError(f'{place}: is the folder of a finished run, and whole')
+        return []
     found = sorted(place.glob(f'*{SUFFIX}'))
     if not found:
         raise InputError(f'{place}: holds no journal, a file that ends in {SUFFIX}')
