@@ -402,7 +402,7 @@ def _programs(args: argparse.Namespace, settings: Path, work: Path) -> dict[str,
 
         found['map'] = with_map
     if args.only != 'map':
-        from incremental_mapper.datasets.bags import SETTINGS_FILE
+        from incremental_mapper.datasets.bag_settings import SETTINGS_FILE
         from incremental_mapper.ros.programs import free_domain
 
         domain = args.domain or free_domain()

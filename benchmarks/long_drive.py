@@ -10,8 +10,8 @@ import gtsam
 import numpy as np
 import pymap3d
 
+from incremental_mapper.datasets.bag_settings import SETTINGS_FILE
 from incremental_mapper.datasets.bag_writer import BagWriter, bag_settings
-from incremental_mapper.datasets.bags import SETTINGS_FILE
 from incremental_mapper.datasets.kaist_files import read_recording
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.datasets.source import Source, SourceInfo

@@ -13,7 +13,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu, NavSatFix, PointCloud2
 
 from incremental_mapper.cli.convert import convert
-from incremental_mapper.datasets.bags import SETTINGS_FILE
+from incremental_mapper.datasets.bag_settings import SETTINGS_FILE
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.datasets.simulated.folder import simulate
 from incremental_mapper.datasets.simulated.options import MotionKind, SimulationOptions

@@ -125,7 +125,7 @@ def kill_node(
     # Only the node needs ROS.
     from node_runs import Drive, node_run
 
-    from incremental_mapper.datasets.bags import SETTINGS_FILE
+    from incremental_mapper.datasets.bag_settings import SETTINGS_FILE
     from incremental_mapper.datasets.open import open_source
     from incremental_mapper.ros.programs import player_command, running
 

@@ -20,7 +20,7 @@ from pathlib import Path
 from nav_msgs.msg import Path as PathMessage
 from sensor_msgs.msg import PointCloud2
 
-from incremental_mapper.datasets.bags import SETTINGS_FILE
+from incremental_mapper.datasets.bag_settings import SETTINGS_FILE
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.errors import InputError, MapperError
 from incremental_mapper.results.graph_json import TOLERANCE, compare_graphs

@@ -27,7 +27,7 @@ from sensor_msgs.msg import Imu, NavSatFix, PointCloud2
 from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import MarkerArray
 
-from incremental_mapper.datasets.bags import SETTINGS_FILE
+from incremental_mapper.datasets.bag_settings import SETTINGS_FILE
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.results.graph_json import compare_graphs, graph_tree

@@ -17,7 +17,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from incremental_mapper.cli.convert import convert
 from incremental_mapper.config import Tree
-from incremental_mapper.datasets.bags import SETTINGS_FILE
+from incremental_mapper.datasets.bag_settings import SETTINGS_FILE
 from incremental_mapper.datasets.simulated.folder import simulate
 from incremental_mapper.datasets.simulated.options import (
     MotionKind,

@@ -20,7 +20,7 @@ from long_drive import write_repeated
 from node_runs import PATIENCE, SEED, START, Drive, make_drive
 
 from incremental_mapper.config import Config
-from incremental_mapper.datasets.bags import SETTINGS_FILE
+from incremental_mapper.datasets.bag_settings import SETTINGS_FILE
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.datasets.simulated.folder import simulate
 from incremental_mapper.datasets.simulated.options import MotionKind, SimulationOptions

@@ -29,7 +29,7 @@ from said_messages import PACKAGE, ROOT, Mistake, check_messages
 
 from incremental_mapper.cli.main import COMMANDS, make_parser
 from incremental_mapper.config import Config, LidarSensor, Section
-from incremental_mapper.datasets.bags import SETTINGS_FILE
+from incremental_mapper.datasets.bag_settings import SETTINGS_FILE
 from incremental_mapper.errors import ConfigError
 from incremental_mapper.exports.formats import GROUP as FORMATS
 from incremental_mapper.selection.strategies import GROUP, labelled, strategy_names

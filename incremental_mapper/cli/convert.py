@@ -10,8 +10,8 @@ from typing import Any
 import yaml
 from tqdm import tqdm
 
+from incremental_mapper.datasets.bag_settings import SETTINGS_FILE
 from incremental_mapper.datasets.bag_writer import TOPICS, BagWriter, bag_settings, with_truth
-from incremental_mapper.datasets.bags import SETTINGS_FILE
 from incremental_mapper.datasets.kaist_files import Recording, read_recording
 from incremental_mapper.datasets.topics import TRUTH_TOPIC
 from incremental_mapper.datasets.truth import find_truth

@@ -1,27 +1,30 @@
 """ROS bags as a source of measurements: rosbag2 (MCAP, SQLite) and ROS 1."""
 
-import heapq
 import math
-import struct
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
-import numpy as np
 from rosbags.interfaces import Connection
-from scipy.spatial.transform import Rotation
 
 from incremental_mapper.checks.cloud_copies import copied_from
 from incremental_mapper.checks.live_inputs import map_frame
 from incremental_mapper.checks.sweeps import other_frame, sector_clouds, two_lidars_one_frame
 from incremental_mapper.checks.usual_lags import usual_lags
-from incremental_mapper.config import Tree
 from incremental_mapper.datasets.bag_files import Topic, bag_files, open_bag
 from incremental_mapper.datasets.bag_recovery import BagReader, is_ros1
 from incremental_mapper.datasets.bag_samples import read_span, sample_bag
+from incremental_mapper.datasets.bag_settings import (
+    SETTINGS_FILE,
+    own_settings,
+    sector_settings,
+    topic_settings,
+)
+from incremental_mapper.datasets.bag_truth import truth_of_topic
+from incremental_mapper.datasets.bag_turns import Turns
 from incremental_mapper.datasets.clock_leaps import ClockLeaps, find_leaps
 from incremental_mapper.datasets.clock_look import ClockLook, check_clocks
 from incremental_mapper.datasets.extrinsics import find_extrinsics
@@ -32,11 +35,10 @@ from incremental_mapper.datasets.first_look import (
     look_at_clouds,
     look_at_frame,
 )
-from incremental_mapper.datasets.headers import peek_header, stamped
+from incremental_mapper.datasets.headers import stamped
 from incremental_mapper.datasets.imu_look import look_at_imus
 from incremental_mapper.datasets.message_conversion import (
     fix_from_message,
-    header_stamp,
     imu_from_message,
     scan_from_message,
 )
@@ -49,14 +51,12 @@ from incremental_mapper.datasets.sectors import NO_POINTS, SectorGatherer
 from incremental_mapper.datasets.sensor_settings import extrinsics_of, listed_lidars
 from incremental_mapper.datasets.source import SourceInfo
 from incremental_mapper.datasets.static_transforms import STATIC_TOPIC, clean
-from incremental_mapper.datasets.stray_stamps import StrayStamps
 from incremental_mapper.datasets.topics import (
     CLOUDS,
     FIX,
     IMU,
     MAP_FRAMES,
     FrameTopic,
-    TopicChoice,
     choose_topics,
     find_truth_topic,
 )
@@ -65,8 +65,6 @@ from incremental_mapper.errors import InputError, MeasurementError
 from incremental_mapper.measurements import NANOSECONDS, Drops, LidarScan, Measurement
 from incremental_mapper.settings import make_config, merge, read_yaml
 from incremental_mapper.trajectory import Trajectory
-
-SETTINGS_FILE = 'incremental_mapper.yaml'
 
 Maker: TypeAlias = Callable[[Any, str, int], Measurement]
 Converter: TypeAlias = Callable[[Any], Measurement]
@@ -89,7 +87,7 @@ class BagSource:
         self._remarks = Remarks()
         self._other_frames: Counter[tuple[str, str]] = Counter()
         self._one_frame = OneFrame()
-        own = _own_settings(self._folder, listed_lidars(tree))
+        own = own_settings(self._folder, listed_lidars(tree))
         config = make_config(merge(own, tree))
         self._leaps: ClockLeaps | None = None
         with self._open() as reader:
@@ -177,13 +175,12 @@ class BagSource:
                 *clocks.findings,
             ]
         self._offsets, self._apart = clocks.offsets, clocks.apart
-        self._lags = usual_lags(clock_look.clocks({}, ()))
-        self._restamped = {
-            topic
-            for topic, names in self._sensors.items()
-            if clock_look.restamped.issuperset(names.values())
-        }
-        self._order_shifts = clock_look.order_shifts(clocks.offsets)
+        self._turns = Turns(
+            self._sensors,
+            usual_lags(clock_look.clocks({}, ())),
+            clock_look.restamped,
+            clock_look.order_shifts(clocks.offsets),
+        )
         self._gathered = {name for name, lidar in config.lidars.items() if lidar.sectors}
         self._gathered = (self._gathered | set(sectors)) & set(self._choice.lidars)
         self._messages = {name: topic.count for name, topic in self._choice.topics.items()}
@@ -197,8 +194,8 @@ class BagSource:
             duration=max(self._end - self._begin, 0) / NANOSECONDS,
             settings=merge(
                 merge(
-                    merge(own, _topic_settings(self._choice, list(config.lidars))),
-                    merge(extrinsics.settings, _sector_settings(sectors)),
+                    merge(own, topic_settings(self._choice, list(config.lidars))),
+                    merge(extrinsics.settings, sector_settings(sectors)),
                 ),
                 clocks.settings,
             ),
@@ -329,7 +326,8 @@ class BagSource:
         """Truth from an odometry topic with ``truth`` in its name, else from a file beside."""
         topic = find_truth_topic(self._topics)
         if topic is not None:
-            return self._truth_of_topic(topic)
+            with self._open() as reader:
+                return truth_of_topic(reader, topic)
         truth = find_truth(self._truth_folders())
         # A file in the folder above may belong to another drive.
         if truth is None or truth.stamps[-1] < self._begin or truth.stamps[0] > self._end:
@@ -396,8 +394,8 @@ class BagSource:
 
         ``left`` is how many messages of each sensor are still to come.
         """
-        messages = self._in_turn(reader)
-        strays = StrayStamps(self._lags)
+        messages = self._turns.messages(reader)
+        strays = self._turns.strays()
         while True:
             try:
                 connection, logged, data = next(messages)
@@ -409,49 +407,15 @@ class BagSource:
                     reason = ' '.join(str(error).split()) or type(error).__name__
                     raise InputError(f'{self._path}: no message can be read ({reason})') from error
                 break
-            if connection.topic in self._restamped:
+            if connection.topic in self._turns.restamped:
                 data = stamped(data, logged, is_ros1(connection))
-            stray = self._stray(strays, connection, logged, data)
+            stray = self._turns.stray(strays, connection, logged, data)
             if stray is None:
                 yield connection, data
             else:
                 left[stray] -= 1
                 self._drops[stray, 'stamp_leap'] += 1
         self._drops.update({(name, 'damaged'): n for name, n in left.items() if n > 0})
-
-    def _stray(
-        self, strays: StrayStamps, connection: Connection, logged: int, data: bytes
-    ) -> str | None:
-        """Whose message this is, if its stamp is far from where its sensor's stamps are."""
-        sensors = self._sensors[connection.topic]
-        if connection.topic in self._restamped or self._lags.keys().isdisjoint(sensors.values()):
-            return None
-        try:
-            stamp, frame = peek_header(data, is_ros1(connection))
-        except (struct.error, UnicodeDecodeError):
-            return None
-        sensor = sensors.get(None) or sensors.get(frame)
-        if sensor is None or stamp == 0:
-            return None
-        logged -= self._order_shift(connection.topic)
-        return sensor if strays.is_stray(sensor, stamp, logged) else None
-
-    def _in_turn(self, reader: BagReader) -> Iterator[tuple[Any, int, bytes]]:
-        """Messages as they were logged, or would have been had all sensors had one clock."""
-        shifts: dict[int, list[Any]] = {}
-        for connection in reader.connections:
-            if connection.topic in self._sensors:
-                shifts.setdefault(self._order_shift(connection.topic), []).append(connection)
-        parts = [
-            _shifted(reader.messages(connections=connections), shift)
-            for shift, connections in shifts.items()
-        ]
-        return parts[0] if len(parts) == 1 else heapq.merge(*parts, key=lambda item: item[1])
-
-    def _order_shift(self, topic: str) -> int:
-        """Nanoseconds that are added to a topic's record times, so that it takes its turn."""
-        names = self._sensors[topic].values()
-        return max((self._order_shifts.get(name, 0) for name in names), key=abs)
 
     def _converters(self) -> dict[str, Converter]:
         makers: dict[str, Maker] = {'imu': imu_from_message, 'gnss': fix_from_message}
@@ -461,58 +425,3 @@ class BagSource:
             return lambda message: makers[sensor](message, sensor, self._offsets[sensor])
 
         return {sensor: bind(sensor) for sensor in self._choice.topics}
-
-    def _truth_of_topic(self, topic: str) -> Trajectory | None:
-        stamps: list[int] = []
-        rows: list[list[float]] = []
-        with self._open() as reader:
-            connections = [c for c in reader.connections if c.topic == topic]
-            for connection, _, data in reader.messages(connections=connections):
-                message: Any = reader.deserialize(data, connection.msgtype)
-                place, turn = message.pose.pose.position, message.pose.pose.orientation
-                row = [place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w]
-                if np.isfinite(row).all() and np.any(row[3:]):
-                    stamps.append(header_stamp(message))
-                    rows.append(row)
-        if not rows:
-            return None
-        unique, order = np.unique(np.array(stamps, dtype=np.int64), return_index=True)
-        table = np.array(rows)[order]
-        quaternions = Rotation.from_quat(table[:, 3:]).as_quat()
-        return Trajectory(unique, table[:, :3], quaternions)
-
-
-def _shifted(
-    messages: Iterator[tuple[Any, int, bytes]], shift: int
-) -> Iterator[tuple[Any, int, bytes]]:
-    """Messages with their record times moved (ns)."""
-    for connection, logged, data in messages:
-        yield connection, logged + shift, data
-
-
-def _own_settings(folder: Path, listed: list[str] | None) -> Tree:
-    """The settings file beside a bag, without the LiDARs that the user does not list."""
-    path = folder / SETTINGS_FILE
-    if not path.is_file():
-        return {}
-    own = read_yaml(path)
-    lidars = own.get('lidars')
-    if listed is not None and isinstance(lidars, dict):
-        kept = {name: lidars[name] for name in listed if name in lidars}
-        own = {**own, 'lidars': {'names': list(listed), **kept}}
-    return own
-
-
-def _topic_settings(choice: TopicChoice, configured: list[str]) -> Tree:
-    """Settings tree that names the chosen topics."""
-    chosen = {name: {'topic': topic.name} for name, topic in choice.topics.items()}
-    lidars: Tree = {'names': configured or list(choice.lidars)}
-    lidars |= {name: chosen[name] for name in choice.lidars}
-    return {'lidars': lidars} | {
-        name: value for name, value in chosen.items() if name not in choice.lidars
-    }
-
-
-def _sector_settings(lidars: Collection[str]) -> Tree:
-    """Settings tree that has the sectors of these LiDARs gathered."""
-    return {'lidars': {name: {'sectors': True} for name in lidars}} if lidars else {}

@@ -9,7 +9,7 @@ from bag_files import CLOUD, IMU, write_bag
 from drive_edits import keep_stamps
 
 from incremental_mapper.cli.main import main
-from incremental_mapper.datasets.bags import SETTINGS_FILE
+from incremental_mapper.datasets.bag_settings import SETTINGS_FILE
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.results.offline_run import effective_config
 from incremental_mapper.settings import load_config, to_tree

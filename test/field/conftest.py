@@ -14,7 +14,7 @@ def recording(light_bag, light_drive):
     """``light_drive`` as messages."""
     from lies.recording import Recording, read_items
 
-    from incremental_mapper.datasets.bags import SETTINGS_FILE
+    from incremental_mapper.datasets.bag_settings import SETTINGS_FILE
     from incremental_mapper.settings import read_yaml
 
     settings = read_yaml(light_bag / SETTINGS_FILE)

@@ -9,7 +9,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from incremental_mapper.datasets.bags import SETTINGS_FILE
+from incremental_mapper.datasets.bag_settings import SETTINGS_FILE
 from incremental_mapper.measurements import NANOSECONDS
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
