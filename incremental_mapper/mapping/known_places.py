@@ -20,22 +20,17 @@ LOOK = 100.0
 class KnownPlaces:
     """The places of the local maps of one G(t), as well as its factors know them."""
 
-    def __init__(
-        self, factors: Sequence[Factor], values: gtsam.Values, maps: Sequence[LocalMap]
-    ) -> None:
+    def __init__(self, factors: Sequence[Factor], values: gtsam.Values) -> None:
         """Linearise and factorise; costs about one step of a solve.
 
         Args:
             factors: All factors.
             values: Their optimum.
-            maps: The local maps that may be asked for.
 
         Raises:
             RuntimeError: The system is singular.
         """
-        self._covariances = RelativeCovariances(
-            (factor.factor for factor in factors), values, [pose_key(one.cluster) for one in maps]
-        )
+        self._covariances = RelativeCovariances((factor.factor for factor in factors), values)
 
     def relative(self, first: LocalMap, second: LocalMap) -> Known:
         """What is known of the relative pose of two local maps.

@@ -116,7 +116,7 @@ def close_loops(state: GraphState, values: gtsam.Values, config: Config) -> Clos
         return Closed(values, note=UNREADABLE)
     if not maps or maps[-1].travelled - maps[0].travelled < settings.min_travel:
         return Closed(values)
-    places = _known_places(state.factors.unpacked(), values, maps)
+    places = _known_places(state.factors.unpacked(), values)
     if places is None:
         return Closed(values)
     found = find_closures(
@@ -197,9 +197,9 @@ def _more(
     if not untested and not recognise:
         return None
     plain = state.factors.unpacked()
-    places = _known_places((*plain, *state.closures), values, maps)
+    places = _known_places((*plain, *state.closures), values)
     # Closures that there are do not make a drive one that needs no more of them.
-    alone = _known_places(plain, values, maps) if recognise and state.closures else places
+    alone = _known_places(plain, values) if recognise and state.closures else places
     if places is None or alone is None:
         return None
     recognise = recognise and not alone.certain(maps, settings)
@@ -243,12 +243,10 @@ def _library_note(stretches: Sequence[Stretch], settings: ClosureSettings) -> st
     return '' if short or can_recognise() else NO_LIBRARY
 
 
-def _known_places(
-    factors: Sequence[Factor], values: gtsam.Values, maps: Sequence[LocalMap]
-) -> KnownPlaces | None:
+def _known_places(factors: Sequence[Factor], values: gtsam.Values) -> KnownPlaces | None:
     """Where the local maps lie; None where it cannot be told what is known already."""
     try:
-        return KnownPlaces(factors, values, maps)
+        return KnownPlaces(factors, values)
     except RuntimeError:
         # A singular system: without knowing what is known, no closure can be held against it.
         return None

@@ -114,7 +114,7 @@ def test_what_a_drive_knows_of_its_places(drive):
         maps = cut_local_maps(
             stretches, known.clusters, known.scans, values, SETTINGS.closure, wanted=()
         )
-        places = KnownPlaces(known.factors, values, maps)
+        places = KnownPlaces(known.factors, values)
         assert places.certain(maps, SETTINGS.closure) is certain
         near = SETTINGS.closure.model_copy(update={'radius': 10.0})
         assert not places.certain(maps, near)  # neighbours may lie that far apart
@@ -123,7 +123,7 @@ def test_what_a_drive_knows_of_its_places(drive):
         ).marginalCovariance(pose_key(80))
         expected = np.sqrt(np.linalg.eigvalsh(marginals[3:, 3:])[-1])
         plain = (factor.factor for factor in known.factors)
-        position = RelativeCovariances(plain, values, [pose_key(80)])
+        position = RelativeCovariances(plain, values)
         assert position.position(pose_key(80)) == pytest.approx(expected, rel=1e-3)
 
 

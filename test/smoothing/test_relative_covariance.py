@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from incremental_mapper.smoothing import relative_covariance
+from incremental_mapper.smoothing.linear_system import REGULARISING_SIGMA
 from incremental_mapper.smoothing.relative_covariance import RelativeCovariances
 from incremental_mapper.variables import pose_key
 
@@ -32,7 +33,7 @@ def test_it_is_propagated_along_a_chain_that_nothing_holds():
     for _ in range(3):
         moved = STEP.inverse().AdjointMap()
         expected = moved @ expected @ moved.T + NOISE
-    known = RelativeCovariances(factors, values, [pose_key(0), pose_key(3)])
+    known = RelativeCovariances(factors, values)
     found = known.relative(pose_key(0), pose_key(3))
     assert found == pytest.approx(expected, rel=1e-3, abs=1e-6)
 
@@ -50,17 +51,46 @@ def test_it_is_that_of_the_marginals_where_those_can_be_had():
     back = values.atPose3(second).between(values.atPose3(first)).AdjointMap()
     turn = np.hstack([-back, np.eye(6)])
     whole = np.block([[joint.at(i, j) for j in (first, second)] for i in (first, second)])
-    found = RelativeCovariances([*factors, prior], values, [first, second]).relative(first, second)
+    found = RelativeCovariances([*factors, prior], values).relative(first, second)
     assert found == pytest.approx(turn @ whole @ turn.T, rel=1e-3, abs=1e-6)
 
 
 def test_parts_of_the_factors_make_the_same_whole_and_pairs_share_a_pose(monkeypatch):
     factors, values = chain(8)
-    poses = [pose_key(i) for i in (0, 3, 7)]
-    whole = RelativeCovariances(factors, values, poses)
+    whole = RelativeCovariances(factors, values)
     monkeypatch.setattr(relative_covariance, 'PART', 3)
-    parts = RelativeCovariances(factors, values, poses)
+    parts = RelativeCovariances(factors, values)
     for first, second in ((0, 3), (3, 7), (0, 7), (7, 0)):
         keys = pose_key(first), pose_key(second)
         # Without an anchor they are small differences of large numbers.
         assert parts.relative(*keys) == pytest.approx(whole.relative(*keys), rel=1e-4, abs=1e-7)
+
+
+def test_it_is_that_of_the_marginals_across_a_long_drive_with_a_loop():
+    factors, values = chain(60)
+    model = gtsam.noiseModel.Gaussian.Covariance(NOISE)
+    loop = values.atPose3(pose_key(5)).between(values.atPose3(pose_key(48)))
+    factors += [
+        gtsam.PriorFactorPose3(
+            pose_key(0), gtsam.Pose3(), gtsam.noiseModel.Isotropic.Sigma(6, 0.1)
+        ),
+        gtsam.BetweenFactorPose3(pose_key(5), pose_key(48), loop, model),
+    ]
+    marginals = gtsam.Marginals(relative_covariance.make_graph(factors), values)
+    known = RelativeCovariances(factors, values)
+    for first, second in ((0, 59), (5, 48), (20, 33), (33, 20)):
+        keys = pose_key(first), pose_key(second)
+        joint = marginals.jointMarginalCovariance(list(keys))
+        back = values.atPose3(keys[1]).between(values.atPose3(keys[0])).AdjointMap()
+        turn = np.hstack([-back, np.eye(6)])
+        whole = np.block([[joint.at(i, j) for j in keys] for i in keys])
+        assert known.relative(*keys) == pytest.approx(turn @ whole @ turn.T, rel=1e-3, abs=1e-6)
+
+
+def test_a_variable_that_nothing_touches_is_known_to_be_unknown():
+    factors, values = chain(3)
+    values.insert(pose_key(9), gtsam.Pose3())
+    known = RelativeCovariances(factors, values)
+    alone, held = pose_key(9), pose_key(1)
+    assert known.position(alone) == pytest.approx(REGULARISING_SIGMA)
+    assert known.relative(held, pose_key(2))[5, 5] < 1.0 < known.relative(held, alone)[5, 5]

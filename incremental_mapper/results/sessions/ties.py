@@ -113,8 +113,7 @@ def find_ties(first: MapResult, second: MapResult, config: Config) -> Ties:
     values.insert(both[1].values)
     factors = [factor.factor for part in both for factor in part.factors]
     try:
-        poses = [pose_key(item.cluster + before * item.run) for item in maps]
-        covariances = RelativeCovariances(factors, values, poses)
+        covariances = RelativeCovariances(factors, values)
     except RuntimeError:
         return Ties()  # without knowing what is known, no closure can be held against it
 
