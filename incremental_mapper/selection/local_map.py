@@ -11,8 +11,8 @@ from incremental_mapper.frontend.front_end import Prepared
 from incremental_mapper.frontend.lidar_odometry import PreparedScan
 from incremental_mapper.geometry import transform_points
 from incremental_mapper.graph.connectivity import Partition, Partitions
-from incremental_mapper.graph.factor_builder import WindowInputs
 from incremental_mapper.graph.motion_compensation import MotionCompensation
+from incremental_mapper.graph.window_inputs import WindowInputs
 from incremental_mapper.scoring.mom import LocalMap
 from incremental_mapper.smoothing.graph_state import GraphState, PlacedScan
 from incremental_mapper.variables import cluster_of, pose_key

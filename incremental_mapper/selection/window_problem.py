@@ -17,10 +17,11 @@ from incremental_mapper.frontend.front_end import Prepared, PreparedFix
 from incremental_mapper.frontend.imu_preintegration import ImuSeries, level_rotation
 from incremental_mapper.graph.bias_sharing import sharing
 from incremental_mapper.graph.connectivity import Partitions
-from incremental_mapper.graph.factor_builder import FactorBuilder, WindowInputs
+from incremental_mapper.graph.factor_builder import FactorBuilder
 from incremental_mapper.graph.initial_guess import InitialGuess
 from incremental_mapper.graph.motion_compensation import MotionCompensation
 from incremental_mapper.graph.passed_clusters import MotionSigmas
+from incremental_mapper.graph.window_inputs import WindowInputs
 from incremental_mapper.measurements import NANOSECONDS, NO_VERTICAL_SIGMA
 from incremental_mapper.selection.local_map import LocalMapBuilder
 from incremental_mapper.smoothing.correction import release
