@@ -12,9 +12,6 @@ from incremental_mapper.geometry import transform_points
 from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.trajectory import Trajectory, fit_rigid, match_truth
 from incremental_mapper.visualization.figure import (
-    DARK,
-    DPI,
-    LIGHT,
     WHOLE,
     Look,
     add_legend,
@@ -25,10 +22,10 @@ from incremental_mapper.visualization.figure import (
     save,
     title,
 )
+from incremental_mapper.visualization.height_points import draw_points
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.colors import Colormap, Normalize
     from matplotlib.figure import Figure
 
 DRAWN_POINTS_A_PIXEL = 1
@@ -45,12 +42,6 @@ FLATTEST, TALLEST = 0.375, 0.75
 """Heights of pictures, in their widths, between which they take the shape of what they show."""
 NARROWEST = 0.55
 """Of its width that a picture keeps where what it shows is taller than that."""
-EVENED = 0.6
-"""Share of the colours that follows the ranks of heights; the rest follows the heights."""
-STEPS = 256
-"""Colours of heights."""
-SNAPPED = 1.3
-"""How much larger a mark is drawn, as none is drawn between pixels."""
 NO_BAR, BAR = (128, 76), (256, 142)
 """Pixels beside the axes, with a heading and without; and where a bar of colours stands there."""
 HEADED, UNHEADED = 166, 84
@@ -169,7 +160,7 @@ def map_figure(
     figure = new_figure(look)
     axes = figure.add_axes(_place(look, bar=True))
     _fill(axes, shown, SMALLEST)
-    _draw_points(axes, drawn[:, :2], _above_way(drawn, estimate), look)
+    draw_points(axes, drawn[:, :2], _above_way(drawn, estimate), look)
     _draw_path(axes, estimate.positions, look, look.theme.vermillion, 'trajectory', halo=5.0)
     _add_scale(axes, look)
     title(figure, 'Map from above', f'{len(points):,} points'.replace(',', ' '), look)
@@ -191,7 +182,7 @@ def side_figure(
     path = np.stack([estimate.positions[:, :2] @ along, estimate.positions[:, 2]], axis=1)
     inner = np.percentile(flat, [0.2, 99.8], axis=0) if len(flat) > 0 else flat
     stretch = _fill_stretched(axes, np.concatenate([inner, path]))
-    _draw_points(axes, flat, _above_way(drawn, estimate), look)
+    draw_points(axes, flat, _above_way(drawn, estimate), look)
     _draw_path(axes, path, look, look.theme.vermillion, 'trajectory', halo=5.0)
     turn = np.degrees(np.arctan2(along[1], along[0]))
     towards = f'{round(90.0 - turn) % 360}° from north' if georeferenced else f'{turn:.0f}° from x'
@@ -275,75 +266,6 @@ def _main_direction(positions: NDArray[np.float64]) -> NDArray[np.float64]:
     return along if (flat[-1] - flat[0]) @ along >= 0 else -along
 
 
-def _draw_points(
-    axes: 'Axes', flat: NDArray[np.float64], heights: NDArray[np.float64], look: Look
-) -> None:
-    """Points (N, 2) coloured by their heights (N,), and what the colours say beside them."""
-    from matplotlib.cm import ScalarMappable
-
-    norm, colours = _evened(heights), _height_colours(look)
-    size, alpha = _mark(axes, flat)
-    # Markers are put onto whole pixels: what stands on a grid itself would show a weave.
-    pixel = np.ptp([axes.get_xlim(), axes.get_ylim()], axis=1) / axes_pixels(axes)
-    flat = flat + pixel * np.random.default_rng(0).uniform(-0.5, 0.5, flat.shape)
-    # One line of markers for each colour: points with a colour each take ten times as long.
-    shades = np.minimum((np.asarray(norm(heights)).clip(0.0, 1.0) * STEPS).astype(int), STEPS - 1)
-    order = np.argsort(shades, kind='stable')  # what is high hides what is low
-    for part in np.split(order, np.searchsorted(shades[order], np.arange(1, STEPS))):
-        if len(part) > 0:
-            axes.plot(
-                flat[part, 0], flat[part, 1], linestyle='', marker='o', alpha=alpha,
-                markeredgewidth=0, color=colours((shades[part[0]] + 0.5) / STEPS),
-                markersize=SNAPPED * np.sqrt(size), rasterized=True,
-            )  # fmt: skip
-    place = axes.get_position()
-    gap, width = 24 / look.width, (22 if look.heading else 12) / look.width
-    gap = gap if look.heading else gap / 2
-    beside = (place.x1 + gap, place.y0, width, place.height)
-    figure = axes.get_figure(root=True)
-    bar = figure.colorbar(  # type: ignore[union-attr]
-        ScalarMappable(norm, colours), cax=axes.figure.add_axes(beside), extend='both',
-        extendfrac=0.02,
-    )  # fmt: skip
-    bar.outline.set_edgecolor(look.theme.frame)
-    bar.ax.tick_params(colors=look.theme.muted, labelsize=look.text - 1, length=3)
-    bar.ax.set_yticks(_bar_ticks(norm))
-    bar.ax.minorticks_off()
-    bar.set_label('height above the way, m', fontsize=look.text, color=look.theme.ink)
-
-
-def _evened(heights: NDArray[np.float64]) -> 'Normalize':
-    """Colours for heights (N,): partly by rank, so that a few tall houses leave some for streets.
-
-    By rank alone a flat road would have all colours for its last centimetres.
-    """
-    from matplotlib.colors import FuncNorm
-
-    low, high = np.percentile(heights, [1.0, 99.0]) if len(heights) > 0 else (0.0, 1.0)
-    edges = np.linspace(low, max(high, low + 0.1), STEPS)
-    even = np.linspace(0.0, 1.0, STEPS)
-    ranks = np.searchsorted(np.sort(heights), edges) / max(len(heights), 1)
-    ranks = (ranks - ranks[0]) / max(ranks[-1] - ranks[0], 1e-9)
-    shares = EVENED * ranks + (1.0 - EVENED) * even
-    shares /= shares[-1]
-    return FuncNorm(
-        (lambda h: np.interp(h, edges, shares), lambda s: np.interp(s, shares, edges)),
-        vmin=float(edges[0]), vmax=float(edges[-1]),
-    )  # fmt: skip
-
-
-def _bar_ticks(norm: 'Normalize') -> list[float]:
-    """Round heights that stand apart on a bar whose steps are not even."""
-    low, high = float(norm.vmin or 0.0), float(norm.vmax or 1.0)
-    step = next(step for step in (0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 1e3)
-                if (high - low) / step <= 12)  # fmt: skip
-    ticks: list[float] = []
-    for height in np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step:
-        if not ticks or norm(height) - norm(ticks[-1]) > 0.055:
-            ticks.append(float(round(height, 2)))
-    return ticks
-
-
 def _draw_path(
     axes: 'Axes', positions: NDArray[np.float64], look: Look, color: str, label: str, halo: float
 ) -> None:
@@ -417,26 +339,6 @@ def _fill_stretched(axes: 'Axes', shown: NDArray[np.float64]) -> int:
     axes.set_xlim(*((low[0] + high[0]) / 2 + np.array([-0.5, 0.5]) * scale * width))
     axes.set_ylim(*((low[1] + high[1]) / 2 + np.array([-0.5, 0.5]) * scale * height / stretch))
     return stretch
-
-
-def _mark(axes: 'Axes', points: NDArray[np.float64]) -> tuple[float, float]:
-    """Area in square points and opacity that let ``points`` fill, but not flood, the axes."""
-    width, height = axes_pixels(axes)
-    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
-    inside = (points[:, 0] > left) & (points[:, 0] < right)
-    inside &= (points[:, 1] > bottom) & (points[:, 1] < top)
-    share = width * height / max(int(inside.sum()), 1)
-    diameter = float(np.clip(0.75 * np.sqrt(share), 1.6, 5.0)) * 72 / DPI
-    return diameter**2, float(np.clip(0.45 + 0.05 * share, 0.45, 0.9))
-
-
-def _height_colours(look: Look) -> 'Colormap':
-    """Viridis without the end that is lost on the ground of the picture, or without both."""
-    from matplotlib import colormaps
-    from matplotlib.colors import ListedColormap
-
-    low, high = {LIGHT: (0.0, 0.92), DARK: (0.22, 1.0)}.get(look.theme, (0.2, 0.86))
-    return ListedColormap(colormaps['viridis'](np.linspace(low, high, 256)))
 
 
 def _add_scale(axes: 'Axes', look: Look) -> None:
