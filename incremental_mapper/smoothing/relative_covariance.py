@@ -157,7 +157,6 @@ def _dissected(factors: list[gtsam.NonlinearFactor], values: gtsam.Values) -> li
     return [*alone, *keys]
 
 
-@kernel
 def _solved(
     rows: NDArray[np.int64],
     scales: NDArray[np.float64],
@@ -177,30 +176,57 @@ def _solved(
     Returns:
         The rows (R,) of Y that are not zero, ascending, and what is in them (R, K).
     """
-    place = np.full(len(starts) - 1, -1, np.int64)
-    reached = [np.int64(0) for _ in range(0)]
-    for row in rows:
-        if place[row] < 0:
-            place[row] = 0
-            reached.append(row)
+    reached = np.empty(len(starts) - 1, dtype=np.int64)
+    reached[: len(rows)] = rows
+    place = np.full(len(starts) - 1, -1, dtype=np.int64)
+    place[rows] = 0
+    places = np.sort(reached[: _follow(reached, len(rows), place, starts, below)])
+    place[places] = np.arange(len(places))
+    found = np.zeros((len(places), len(rows)))
+    found[place[rows], np.arange(len(rows))] = scales
+    _substitute(places, place, starts, below, lower, found)
+    return places, found
+
+
+@kernel
+def _follow(
+    reached: NDArray[np.int64],
+    count: int,
+    place: NDArray[np.int64],
+    starts: NDArray[np.int32],
+    below: NDArray[np.int32],
+) -> int:
+    """Add to the first rows of ``reached`` all that L leads to; returns how many there are.
+
+    ``place`` (N,) is negative where a row has not been reached.
+    """
     following = 0
-    while following < len(reached):
+    while following < count:
         column = reached[following]
         following += 1
         for entry in range(starts[column], starts[column + 1]):
-            row = np.int64(below[entry])
+            row = below[entry]
             if place[row] < 0:
                 place[row] = 0
-                reached.append(row)
-    places = np.sort(np.array(reached))
-    for number, row in enumerate(places):
-        place[row] = number
-    found = np.zeros((len(places), len(rows)))
-    for number, row in enumerate(rows):
-        found[place[row], number] = scales[number]
-    for column in places:
+                reached[count] = row
+                count += 1
+    return count
+
+
+@kernel
+def _substitute(
+    places: NDArray[np.int64],
+    place: NDArray[np.int64],
+    starts: NDArray[np.int32],
+    below: NDArray[np.int32],
+    lower: NDArray[np.float64],
+    found: NDArray[np.float64],
+) -> None:
+    """Turn E into Y in ``found`` (R, K), whose rows stand at ``place`` (N,) of ``places`` (R,)."""
+    for number in range(len(places)):
+        column = places[number]
         for entry in range(starts[column], starts[column + 1]):
             row = below[entry]
             if row != column:
-                found[place[row]] -= lower[entry] * found[place[column]]
-    return places, found
+                for side in range(found.shape[1]):
+                    found[place[row], side] -= lower[entry] * found[number, side]
