@@ -36,10 +36,19 @@ def noise_density(stamps: NDArray[np.int64], values: NDArray[np.float64]) -> flo
     step = float(np.median(np.diff(stamps))) / NANOSECONDS
     if not 0.0 < step < 1.0 / SLOWEST:
         return None
+    return float(scatter(values) * np.sqrt(step))
+
+
+def scatter(values: NDArray[np.float64]) -> float:
+    """Standard deviation of samples by their second differences, root mean square of the axes.
+
+    Args:
+        values: Rates or accelerations (N, 3), in time order; absurd ones do not matter.
+    """
     seconds = values[:-2] - 2.0 * values[1:-1] + values[2:]
     sizes = np.median(np.abs(seconds - np.median(seconds, axis=0)), axis=0)
     sigmas = sizes / NORMAL / np.sqrt(6.0)  # 1 + 4 + 1 variances
-    return float(np.sqrt(np.mean(np.square(sigmas)) * step))
+    return float(np.sqrt(np.mean(np.square(sigmas))))
 
 
 def check_noise(

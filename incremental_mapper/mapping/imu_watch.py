@@ -22,6 +22,7 @@ from incremental_mapper.checks.imu_motion import FEWEST, MotionEvidence
 from incremental_mapper.checks.imu_noise import check_noise
 from incremental_mapper.checks.imu_range import check_range
 from incremental_mapper.checks.lidar_clock import lidar_clock_findings
+from incremental_mapper.checks.slow_imu import check_slow
 from incremental_mapper.config import Config, Tree
 from incremental_mapper.frontend.front_end import Prepared
 from incremental_mapper.frontend.lidar_odometry import PreparedScan
@@ -148,6 +149,8 @@ class ImuWatch:
             finding = check_range(stamps, gyro, force, self._settings, self._gravity)
         if finding is None:
             finding = check_noise(stamps, gyro, force, self._noise)
+        if finding is None:
+            finding = check_slow(stamps, gyro, force, self._noise)
         return () if finding is None else (finding,)
 
     def _look_at_motion(self, last: bool) -> Sequence[Finding]:
