@@ -110,8 +110,10 @@ def turning_of(
     """
     count = len(stamps)
     first = 0 if known is None else len(known.ends)
-    if count < 2 or first >= count:
-        return known or Turning(stamps.copy(), gyro.copy(), np.zeros((count, 3)))
+    if known is not None and first == count:
+        return known
+    if count < 2:
+        return Turning(stamps.copy(), gyro.copy(), np.zeros((count, 3)))
     steps = np.diff(stamps)
     ends = np.append(stamps[:-1] + steps // 2, stamps[-1] + min(int(steps[-1]), APART) // 2)
     index = np.arange(count)

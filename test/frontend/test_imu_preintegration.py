@@ -292,3 +292,12 @@ def test_the_change_of_a_turn_is_not_told_across_holes_nor_by_a_sample_alone():
     assert not hole.changes.any()
     assert not series([EPOCH]).changes.any()
     assert EMPTY_SERIES.changes.shape == (0, 3)
+
+
+def test_a_series_goes_on_behind_a_hole_with_a_single_sample():
+    known = EMPTY_SERIES.joined([make_imu(EPOCH, 'imu', np.ones(3), np.ones(3))])
+    behind = known.since(EPOCH + 1)
+    for number in (1, 2, 3):
+        sample = make_imu(EPOCH + number * SECOND, 'imu', np.ones(3), np.ones(3))
+        behind = behind.joined([sample])
+        assert behind.changes.shape == behind.gyro.shape == (number, 3)
