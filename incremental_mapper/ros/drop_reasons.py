@@ -32,6 +32,10 @@ DROP_REASONS = {
         'an acceleration or a rate beyond imu.max_acceleration or imu.max_rate',
         'check imu.acceleration_scale and imu.rate_scale, and the sensor',
     ),
+    'contradicted': DropReason(
+        'the IMU turns or accelerates as the scans beside it do not: a knock, a loose plug',
+        'fasten the IMU and its plug',
+    ),
     'frozen': DropReason(
         'the IMU repeats its sample bit for bit', 'the IMU or its driver hangs: restart it'
     ),

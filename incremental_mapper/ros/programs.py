@@ -7,6 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -24,8 +25,10 @@ INSTALL = 'pip install "incremental_mapper[ros]", or source a ROS 2 installation
 DOMAINS = range(1, 101)
 """Above 101 the ports may be taken by outgoing connections."""
 _FIRST_PORT, _PORTS_OF_A_DOMAIN = 7410, 250
-_CLAIMS: dict[int, IO[bytes]] = {}
-"""The domains that this process was given, and the files that say so to others until it ends."""
+_CLAIMS: dict[int, tuple[IO[bytes], float]] = {}
+"""The domains that this process was given of late, the files that say so to others, and when."""
+_CLAIMED_FOR = 60.0
+"""Seconds in which a program takes the domain that it was given; from then on its port says so."""
 _PATIENCE = 30.0
 """Seconds that a program has to end by itself: the node maps what waits and saves."""
 
@@ -60,6 +63,10 @@ def free_domain(taken: Collection[int] = ()) -> int:
 
 def _claimed(domain: int) -> bool:
     """Whether this process has a domain to itself among those that ask here."""
+    for old, (file, since) in list(_CLAIMS.items()):
+        if time.monotonic() - since > _CLAIMED_FOR:
+            file.close()
+            del _CLAIMS[old]
     if domain in _CLAIMS:
         return True
     path = Path(gettempdir()) / f'incremental_mapper_domain_{domain}'
@@ -76,7 +83,7 @@ def _claimed(domain: int) -> bool:
     except OSError:
         file.close()
         return False
-    _CLAIMS[domain] = file
+    _CLAIMS[domain] = file, time.monotonic()
     return True
 
 
