@@ -7,6 +7,7 @@ _SEVERITIES = {
     'wrong_layout': Severity.MENDED,
     'field_names': Severity.MENDED,
     'millimetres': Severity.MENDED,
+    'constant_range': Severity.MENDED,
     'absurd_times': Severity.MENDED,
     'no_altitude': Severity.MENDED,
     'no_vertical_variance': Severity.MENDED,

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from incremental_mapper.checks.constant_range import without_constant_ranges
 from incremental_mapper.checks.sensor_clocks import SensorClock
 from incremental_mapper.config import Tree
 from incremental_mapper.datasets.clock_look import check_clocks
@@ -241,9 +242,9 @@ def _choose(recording: Recording, listed: list[str] | None) -> list[str]:
 
 def _measurement(stamp: int, sensor: str, record: NDArray[np.floating]) -> Measurement:
     if sensor in LIDARS:
-        return make_scan(
-            stamp, sensor, record[:, :3], point_times(record), intensities=record[:, 3]
-        )
+        points, remarks = without_constant_ranges(record[:, :3])
+        scan = make_scan(stamp, sensor, points, point_times(record), intensities=record[:, 3])
+        return replace(scan, remarks=remarks) if remarks else scan
     if sensor == 'imu':
         return make_imu(stamp, sensor, *imu_parts(record))
     return make_fix(stamp, sensor, *fix_parts(record))

@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from incremental_mapper.checks.constant_range import without_constant_ranges
 from incremental_mapper.datasets.point_clouds import cloud_table
 from incremental_mapper.datasets.point_times import point_times
 from incremental_mapper.errors import MeasurementError
@@ -66,8 +67,9 @@ def scan_from_message(
         points = table.xyz()
         times = point_times(table.points, stamp, points)
         light = table.intensities()
+        points, constant = without_constant_ranges(points)
         scan = make_scan(stamp + offset_ns, sensor, points, times.seconds, min_points, light)
-        remarks = (*table.remarks, *times.remarks)
+        remarks = (*table.remarks, *times.remarks, *constant)
         return replace(scan, remarks=remarks) if remarks else scan
 
     return _checked(sensor, make)

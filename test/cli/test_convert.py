@@ -10,6 +10,7 @@ from kaist_folders import make_folder
 from rosbags.highlevel import AnyReader
 
 from incremental_mapper.cli.convert import add_parser, convert
+from incremental_mapper.datasets.bag_writer import FEWEST_TIMED
 from incremental_mapper.datasets.bags import BagSource
 from incremental_mapper.datasets.kaist import KaistSource
 from incremental_mapper.errors import InputError, OutputError
@@ -54,18 +55,33 @@ def test_folder_and_bag_are_the_same_source(tmp_path, right):
     np.testing.assert_array_equal(kaist.truth().matrices(), bag.truth().matrices())
 
 
-def test_times_by_the_order_of_firing_are_those_of_the_folder(folder, tmp_path):
-    azimuths = -np.linspace(0.0, 2.0 * np.pi, 500)
+def write_sweeps(folder, points):
+    """A turn of so many points as every cloud."""
+    azimuths = -np.linspace(0.0, 2.0 * np.pi, points)
     sweep = np.column_stack([np.cos(azimuths), np.sin(azimuths), 0.0 * azimuths, 0.0 * azimuths])
     for path in (folder / 'sensor_data').glob('VLP_*/*.bin'):
         (9.0 * sweep).astype('<f4').tofile(path)
+
+
+def test_times_by_the_order_of_firing_are_those_of_the_folder(folder, tmp_path):
+    write_sweeps(folder, FEWEST_TIMED)
     convert(folder, tmp_path / 'bag')
     sources = KaistSource(folder), BagSource(tmp_path / 'bag')
     scans = [[m for m in it.measurements() if isinstance(m, LidarScan)] for it in sources]
     assert len(scans[0]) == len(scans[1]) == 8
     for one, other in zip(*scans, strict=True):
-        np.testing.assert_allclose(one.point_times, np.linspace(-0.1, 0.0, 500), atol=1e-7)
+        np.testing.assert_allclose(one.point_times, np.linspace(-0.1, 0.0, FEWEST_TIMED), atol=1e-7)
         assert_same(one, other)
+
+
+def test_a_cloud_that_was_thinned_has_x_y_z_and_intensity_alone(folder, tmp_path):
+    write_sweeps(folder, FEWEST_TIMED - 1)
+    convert(folder, tmp_path / 'bag')
+    with AnyReader([tmp_path / 'bag']) as reader:
+        clouds = [c for c in reader.connections if c.topic == '/points_left']
+        for connection, _, data in reader.messages(clouds):
+            message = reader.deserialize(data, connection.msgtype)
+            assert [field.name for field in message.fields] == ['x', 'y', 'z', 'intensity']
 
 
 def test_what_the_bag_holds(folder, tmp_path):
