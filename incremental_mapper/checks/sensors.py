@@ -19,6 +19,7 @@ SWITCHED_OFF = 'switched_off'
 """Reason of samples that the settings do not want."""
 REASONS = 3
 """Reasons that are told, the most frequent ones."""
+NONE_REFUSED = 'none was refused: their windows were not mapped'
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +73,7 @@ def sensor_findings(sensors: Sequence[SensorUse], seconds: float) -> list[Findin
 
 def _no_scan(lidars: Iterable[SensorUse]) -> Finding:
     named = [item for item in lidars if item.offered]
-    told = '; '.join(f'{item.name}: {_counts(item)}' for item in named)
+    told = '; '.join(f'{item.name}: {_counts(item) or NONE_REFUSED}' for item in named)
     return Finding(
         'no_scan_used',
         Severity.ERROR,
@@ -94,7 +95,7 @@ def _lidar(item: SensorUse) -> Finding | None:
         rule,
         Severity.WARNING,
         item.name,
-        f'{lost} of {item.offered} scans are not in the map ({_counts(item)})',
+        f'{lost} of {item.offered} scans are not in the map ({_counts(item) or NONE_REFUSED})',
         'look up the reasons on the page of messages',
     )
 

@@ -33,6 +33,11 @@ def test_one_lidar_of_two_that_is_lost_is_a_warning_with_reasons():
     assert set(rules(LEFT, replace(right, used=0))) == {('sensor_unused', 'right')}
 
 
+def test_scans_of_windows_that_were_not_mapped_were_refused_by_nobody():
+    found = rules(LEFT, SensorUse('right', 'lidar', 50, 3))['sensor_mostly_unused', 'right']
+    assert '47 of 50' in found.text and 'none was refused' in found.text
+
+
 def test_imu_and_fixes_that_came_and_are_in_nothing():
     found = rules(LEFT, replace(IMU, used=0), replace(GNSS, used=0, dropped={'low_status': 5}))
     assert set(found) == {('sensor_unused', 'imu'), ('sensor_unused', 'gnss')}
