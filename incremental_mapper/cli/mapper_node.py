@@ -21,7 +21,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = sys.argv if arguments is None else list(arguments)
     read_own_arguments(words[1:])
     # The node handles signals itself. To load it takes a second, and there is nothing to save yet.
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+    before = signal.getsignal(signal.SIGINT)
+    if before is signal.default_int_handler:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     try:
         from incremental_mapper.ros import node
@@ -34,6 +35,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             file=sys.stderr,
         )
         return exit_status.FAILURE
+    finally:
+        signal.signal(signal.SIGINT, before)
     return node.main(words)
 
 

@@ -73,7 +73,9 @@ def test_without_ros_the_program_says_so(monkeypatch, capsys):
     for name in [name for name in sys.modules if name.startswith('incremental_mapper.ros')]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, 'rclpy', None)
+    before = signal.getsignal(signal.SIGINT)
     assert mapper_node.main(['mapper_node']) == 1
+    assert signal.getsignal(signal.SIGINT) is before
     err = capsys.readouterr().err
     assert 'pip install "incremental_mapper[ros]"' in err and err.count('\n') == 1
 
