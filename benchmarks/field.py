@@ -51,6 +51,7 @@ from lies import (  # noqa: F401
     hardware,
     inertial,
     leaps,
+    pulls,
     sensors,
     surprises,
     sweeps,

@@ -47,6 +47,7 @@ def _points(
 
 _points('kilometres', 'X, y, z in kilometres', lambda p: p / 1000.0)
 _points('inches', 'X, y, z in inches', lambda p: p / 0.0254)
+_points('decimetres', 'X, y, z in decimetres', lambda p: p * 10.0)
 _points('tenths_of_mm', 'X, y, z in 0.1 mm, int32', lambda p: np.round(p * 1e4), code='<i4')
 _points('short_ranges', 'Ranges of both LiDARs 20 per cent too short', lambda p: 0.8 * p)
 _points('doubled_z', 'Heights twice as large', lambda p: p * np.float32([1, 1, 2]))

@@ -39,6 +39,10 @@ FEWEST_DISTRUSTED, DISTRUSTED = 5, 0.1
 """Fixes, and share of them, that are distrusted at least where a map is told to hang on odometry
 alone; those of the start that proved wrong have left it."""
 
+ASTRAY = 1.0
+"""Metres that most of the fixes are off from where on a map is not to be trusted; as ``OFF`` of
+``checks/residuals.py``."""
+
 
 @dataclass(slots=True)
 class Suspicion:
@@ -216,7 +220,11 @@ def _metres(value: float) -> str:
 
 
 def hardly_trusted(
-    sensor: str, stated: NDArray[np.float64], given: NDArray[np.float64], stamps: NDArray[np.int64]
+    sensor: str,
+    stated: NDArray[np.float64],
+    given: NDArray[np.float64],
+    off: NDArray[np.float64],
+    stamps: NDArray[np.int64],
 ) -> tuple[Finding, ...]:
     """Fixes that a finished map has, but hardly trusts, since odometry contradicts them.
 
@@ -224,22 +232,26 @@ def hardly_trusted(
         sensor: Name of the receiver.
         stated: Horizontal variances of the fixes (F,), m^2.
         given: Those that their factors have (F,).
+        off: Horizontal distances (F,) of the fixes from where the map has the antenna, metres.
         stamps: Stamps (F,), ns.
 
     Returns:
-        ``fixes_distrusted`` where these are many; nothing else.
+        ``fixes_distrusted`` where these are many, an error where they are most of all and metres
+        off: either the map is wrong then or its receiver is. Nothing else.
     """
     doubted = np.flatnonzero(given > DISTRUST**2 * stated)
     if len(doubted) < max(FEWEST_DISTRUSTED, DISTRUSTED * len(stated)):
         return ()
+    metres = float(np.median(off[doubted]))
+    astray = len(doubted) > MOST * len(stated) and metres > ASTRAY
     return (
         Finding(
             'fixes_distrusted',
-            Severity.WARNING,
+            Severity.ERROR if astray else Severity.WARNING,
             sensor,
             f'{len(doubted)} of {len(stated)} fixes in the map are given next to no weight, the '
-            f'first at {stamps[doubted[0]]}: they contradict odometry, and nothing tells which of '
-            'the two is right',
+            f'first at {stamps[doubted[0]]}: they are {_metres(metres)} from it, contradict '
+            'odometry, and nothing tells which of the two is right',
             'hold the map against the fixes: if the receiver is right, scan matching is wrong',
         ),
     )

@@ -19,6 +19,8 @@ FEW_POINTS = 1000
 """Points of a map that show nothing. One VLP-16 in a street leaves ten thousand in a second."""
 FEW_SCANS = 10
 """Scans that make a judgement."""
+FEW_HELD = 5
+"""Windows from which it may be said that nothing but the IMU holds a map."""
 LONG = 1.0
 """Seconds of a drive from which its map may be judged."""
 
@@ -65,7 +67,7 @@ def outcome_findings(outcome: Outcome) -> list[Finding]:
     Returns:
         The findings, in no order.
     """
-    rules = (_bridges, _failed, _carried, _not_georeferenced)
+    rules = (_bridges, _failed, _carried, _not_georeferenced, _held_by_imu)
     found = [finding for rule in rules if (finding := rule(outcome)) is not None]
     return [*found, *_unmatched(outcome)]
 
@@ -136,6 +138,29 @@ def _not_georeferenced(outcome: Outcome) -> Finding | None:
         f'{outcome.farthest:.0f} m away: the map is not turned to north',
         'check gnss.time_offset, the first fixes, fixes.min_status, and T_base_sensor of the '
         'LiDARs',
+    )
+
+
+def _held_by_imu(outcome: Outcome) -> Finding | None:
+    """Matches and fixes are what a map hangs on: an IMU alone does not even know its speed."""
+    if outcome.windows < FEW_HELD or (outcome.georeferenced and outcome.fixes):
+        return None
+    if bridged_share(outcome.bridges, outcome.clusters) > MOST:
+        return None  # not even an IMU holds it, which is said
+    linkable = sum(max(scans - 1, 0) for scans in outcome.scans.values())
+    matched = sum(outcome.matched.values())
+    if not linkable or matched >= (1.0 - MOST) * linkable:
+        return None
+    why = '; '.join(f'{sensor}: {text}' for sensor, text in sorted(outcome.reasons.items()) if text)
+    return Finding(
+        'held_by_imu_alone',
+        Severity.ERROR,
+        '',
+        f'{matched} of {linkable} scans are matched to one before them and no fix is in the map: '
+        'most of it hangs on the IMU alone, whose speed at the start is a guess'
+        + (f' ({why})' if why else ''),
+        'record whole sweeps that overlap, a scan for each few metres of way, or fixes; see '
+        'odometry.max_gap for slow recordings',
     )
 
 

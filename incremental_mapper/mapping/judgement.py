@@ -15,6 +15,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from incremental_mapper.checks.bends import bend_findings
 from incremental_mapper.checks.finding import Finding, Severity
 from incremental_mapper.checks.fixes import hardly_trusted
 from incremental_mapper.checks.ground import GroundLook, ground_findings
@@ -28,10 +29,11 @@ from incremental_mapper.checks.motions import (
 from incremental_mapper.checks.outcome import Outcome
 from incremental_mapper.checks.residuals import Residuals, fit_findings
 from incremental_mapper.checks.speed import speed_findings
-from incremental_mapper.config import Config
+from incremental_mapper.config import Config, MatchNoise
 from incremental_mapper.frontend.match_noise import WEAK, weak_directions
 from incremental_mapper.graph.factors import Factor, FactorKind
 from incremental_mapper.mapping.statistics import Totals
+from incremental_mapper.mapping.stretches import stretches
 from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.selection.window_record import WindowRecord
 from incremental_mapper.smoothing.graph_state import GraphState, PlacedFix, PlacedScan
@@ -207,7 +209,9 @@ def judge_map(state: GraphState, values: gtsam.Values, config: Config) -> list[F
 def _judge(state: GraphState, values: gtsam.Values, config: Config) -> list[Finding]:
     factors = state.factors.unpacked()
     driven = motions(matches(factors))
-    fit = fit_findings(residuals(judged(factors), values), state.clusters[0].cluster.stamp)
+    first = state.clusters[0].cluster.stamp
+    fit = fit_findings(residuals(judged(factors), values), first)
+    fit += _bends(factors, values, first, config)
     placed = sorted(state.clusters, key=lambda item: item.cluster.stamp)
     fixes = track(state.fixes)
     return [
@@ -216,22 +220,33 @@ def _judge(state: GraphState, values: gtsam.Values, config: Config) -> list[Find
             np.array([values.atPose3(pose_key(item.id)).translation() for item in placed]),
         ),
         *distance_findings(driven, fixes),
-        *_distrusted(state),
+        *_distrusted(state, values),
         *ground_findings(ground_looks(state.scans, config)),
         *causes(fit, _moving(driven, fixes)),
     ]
 
 
-def _distrusted(state: GraphState) -> tuple[Finding, ...]:
+def _bends(
+    factors: Iterable[Factor], values: gtsam.Values, first: int, config: Config
+) -> list[Finding]:
+    """Where the map does not follow matches that tell how certain they are."""
+    if config.odometry.noise is MatchNoise.CONSTANT:
+        return []
+    return bend_findings(stretches(factors, values), first)
+
+
+def _distrusted(state: GraphState, values: gtsam.Values) -> tuple[Finding, ...]:
     """Fixes that are in a map which is laid out by others, and have no weight in it."""
     if not state.georeferenced or not state.fixes:
         return ()
     every = state.factors.unpacked()
     factors = [every[fix.factor] for fix in state.fixes]
+    measured: list[Any] = [factor.factor for factor in factors]
     return hardly_trusted(
         factors[-1].sensor or 'gnss',
         np.array([fix.covariance[0, 0] for fix in state.fixes]),
         np.array([factor.data['covariance'][0][0] for factor in factors]),
+        np.array([np.hypot(*one.unwhitenedError(values)[:2]) for one in measured]),
         np.array([fix.stamp for fix in state.fixes], dtype=np.int64),
     )
 
@@ -323,6 +338,10 @@ class FitWatch:
         first = state.clusters[0].cluster.stamp
         with undisturbed() as found:
             fit = fit_findings(residuals(recent, _values(state, recent)), first)
+            matched = [
+                factor for factor in state.factors[before:] if factor.kind is FactorKind.ODOMETRY
+            ]
+            fit += _bends(matched, _values(state, matched), first, self.config)
             if self._matched >= self._enough:
                 # Neither do these extrinsics change: twice the matches may say more.
                 self._enough = self._matched + min(self._matched, NEWEST)

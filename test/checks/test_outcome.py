@@ -76,3 +76,22 @@ def test_a_map_of_a_moment_or_without_scans_is_not_called_empty():
     assert empty_findings(200, 2, 0.1) == []
     assert empty_findings(0, 0, 60.0) == []
     assert empty_findings(20_000, 50, 5.0) == []
+
+
+def test_a_map_that_hangs_on_the_imu_alone_is_an_error():
+    alone = replace(
+        SOUND,
+        scans={'left': 3, 'right': 3},
+        matched={},
+        fixes=0,
+        georeferenced=False,
+        windows=7,
+        reasons={'left': '2 no certain match over a gap'},
+    )
+    found = rules(alone)['held_by_imu_alone']
+    assert found.severity is Severity.ERROR
+    assert '0 of 4' in found.text and 'no certain match' in found.text
+    assert 'held_by_imu_alone' not in rules(replace(alone, matched={'left': 2, 'right': 2}))
+    assert 'held_by_imu_alone' not in rules(replace(alone, fixes=5, georeferenced=True))
+    # Without an IMU it is bridges that hold it, which is said.
+    assert 'held_by_imu_alone' not in rules(replace(alone, bridges=90))

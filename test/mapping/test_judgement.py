@@ -109,6 +109,21 @@ def test_fixes_without_weight_in_a_map_are_told_of(distrusted, told):
         assert '6 of 12 fixes' in found['fixes_distrusted'].text
 
 
+@pytest.mark.parametrize(('off', 'severity'), [(5.0, Severity.ERROR), (0.3, Severity.WARNING)])
+def test_a_map_that_most_fixes_contradict_is_an_error(off, severity):
+    state = straight(120)
+    for fix in state.fixes[3:]:
+        wide = fix.covariance + 1e8 * np.eye(3)
+        key = state.factors[fix.factor].keys[0]
+        place = fix.enu + np.array([0.0, off, 0.0])
+        state.factors[fix.factor] = gnss_factor(
+            key, place, wide, np.zeros(3), 3.0, 'gnss', fix.stamp
+        )
+    found = rules(state)['fixes_distrusted']
+    assert found.severity is severity
+    assert f'{off:.1f} m' in found.text
+
+
 def test_ranges_of_one_lidar_that_are_too_long_are_told_of():
     state = straight(120)
     for number, factor in enumerate(state.factors):
