@@ -46,6 +46,7 @@ from lies import (  # noqa: F401
     clouds,
     conventions,
     conversions,
+    faint,
     fixes,
     frames,
     hardware,

@@ -97,6 +97,10 @@ DROP_REASONS = {
     'repeated_cloud': DropReason(
         'the cloud repeats the points of one before it', 'see the driver, or what republishes it'
     ),
+    'other_layout': DropReason(
+        'the layout had to be guessed among clouds that are labelled properly',
+        'see whether two drivers publish the topic',
+    ),
     'late': DropReason(
         'older than a window that is closed, and no place is left', 'raise window.lateness'
     ),

@@ -1,10 +1,12 @@
 """Scans that a driver repeats are left out and counted."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from incremental_mapper.config import LidarSensor
 from incremental_mapper.mapping.scan_intake import ScanIntake
-from incremental_mapper.measurements import make_scan
+from incremental_mapper.measurements import Remark, make_scan
 
 POINTS = np.random.default_rng(0).normal(scale=10.0, size=(500, 3))
 
@@ -46,3 +48,17 @@ def test_points_are_scaled_to_metres_as_the_settings_say():
     untouched = scan(0, POINTS, 'right')
     assert intake.take(untouched) is untouched
     assert intake.take(scan(1, POINTS / 0.3048)) is None  # the copy is known by what was sent
+
+
+def guessed(number):
+    return replace(
+        scan(number, POINTS + 0.1 * (number + 1)), remarks=(Remark('field_names', 'X, Y, Z'),)
+    )
+
+
+def test_a_cloud_of_another_layout_among_those_of_a_driver_is_left_out():
+    intake = ScanIntake()
+    taken = [intake.take(one) for one in (guessed(0), scan(1, POINTS), guessed(2), guessed(12))]
+    # A driver that was exchanged goes on by itself.
+    assert [one is not None for one in taken] == [True, True, False, True]
+    assert intake.drops == {('left', 'other_layout'): 1}
