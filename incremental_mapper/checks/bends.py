@@ -25,6 +25,8 @@ field without structure. Fixes that drift by 1 m/s: 2.2; clouds of ranges and an
 SHARP = 3.0
 """The same of a single stretch, from which the map is bent there. Sound drives: 1.7 at the most,
 2.2 in the field; an antenna that was taken to be 0.6 m aside: 3.5."""
+AGREED = 1.0
+"""The same, within which the matches of another LiDAR and the map say the same."""
 SMALL = 0.25
 """Metres of a stretch of which nothing is said."""
 ASTRAY = 0.5
@@ -60,12 +62,22 @@ def bend_findings(every: Sequence[Stretches], first: int) -> list[Finding]:
     Returns:
         ``map_bent`` for each LiDAR that the map does not follow.
     """
-    found = (_judge(one, first) for one in every if len(one.stamps))
+    found = (_judge(one, every, first) for one in every if len(one.stamps))
     return [finding for finding in found if finding is not None]
 
 
-def _judge(one: Stretches, first: int) -> Finding | None:
-    off = one.metres > SMALL
+def _agreed(one: Stretches, others: Sequence[Stretches]) -> NDArray[np.bool_]:
+    """Where (K,) another LiDAR says the same as the map: then it is a match that is wrong there."""
+    agreed = np.zeros(len(one.stamps), dtype=bool)
+    for other in others:
+        apart = np.abs(one.stamps[:, None] - other.stamps)
+        alike = (apart < STRETCH * NANOSECONDS) & (other.deviations < AGREED)
+        agreed |= alike.any(axis=1) & (other is not one)
+    return agreed
+
+
+def _judge(one: Stretches, every: Sequence[Stretches], first: int) -> Finding | None:
+    off = (one.metres > SMALL) & ~_agreed(one, every)
     typical = float(np.median(one.metres))
     if len(one.stamps) >= FEWEST and np.median(one.deviations) > BENT and typical > SMALL:
         severity = Severity.ERROR if typical > ASTRAY else Severity.WARNING

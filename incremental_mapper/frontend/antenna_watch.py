@@ -52,6 +52,6 @@ class AntennaWatch:
             enu=metres(degrees),
             local=np.array([item.place.position[:2] for item in kept]),
             headings=np.array([item.place.heading for item in kept]),
-            sigma=float(np.median([item.sigma for item in kept])),
+            sigmas=np.array([item.sigma for item in kept]),
         )
         return antenna_finding(sensor, track, self._arm, early=self._taken <= MOST)

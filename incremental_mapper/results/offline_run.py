@@ -332,21 +332,41 @@ def _mending(drive: Drive, attempt: Callable[[Drive, bool], Run]) -> Run:
     begun, found = drive, list[Finding]()
     for _ in range(MOST_MENDS):
         try:
-            return attempt(drive, True)
+            run = attempt(drive, True)
         except MendError as mend:
             # With one LiDAR's pose in the settings the others are not looked for any more.
             left = [one for one in drive.source.info.findings if one.rule == 'lidar_left_out']
             found = [*without_consequences(found, mend.findings), *left, *mend.findings]
-            tree = begun.tree
-            for finding in found:
-                tree = merge(tree, finding.settings if finding.changes else {})
-            source = open_source(drive.source.info.path, tree)
-            config = effective_config(source, tree, drive.where)
-            mended = (*begun.mended, *found)
-            drive = replace(drive, source=source, config=config, tree=tree, mended=mended)
+        else:
+            better = _better_known(found, run.result.findings)
+            if not better:
+                return run
+            found = [one for one in found if one.rule not in {new.rule for new in better}]
+            found += better
+        drive = _mended(begun, found)
         # The map so far hangs on the frames that raised: without this the next one comes on top.
         gc.collect()
     return attempt(drive, False)
+
+
+def _mended(begun: Drive, found: Sequence[Finding]) -> Drive:
+    """A drive with what the data have proved."""
+    tree = begun.tree
+    for finding in found:
+        tree = merge(tree, finding.settings if finding.changes else {})
+    source = open_source(begun.source.info.path, tree)
+    config = effective_config(source, tree, begun.where)
+    return replace(begun, source=source, config=config, tree=tree, mended=(*begun.mended, *found))
+
+
+def _better_known(before: Sequence[Finding], now: Sequence[Finding]) -> list[Finding]:
+    """What a whole drive proposes for settings that went by its beginning: it is in force then."""
+    early = {(one.rule, one.sensor) for one in before if one.changes}
+    return [
+        replace(one, in_force=True)
+        for one in now
+        if one.settings and not one.changes and (one.rule, one.sensor) in early
+    ]
 
 
 @contextmanager

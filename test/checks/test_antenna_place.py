@@ -39,7 +39,7 @@ def track(error=(0.0, 0.0), late=0.0, turns=0.8, speed=4.0, noise=0.03, drift=0.
         np.stack([enu.real, enu.imag], axis=1),
         np.stack([local.real, local.imag], axis=1),
         np.interp(at, grid, yaw) + 3.0,
-        noise,
+        np.full(len(at), noise),
     )
 
 
@@ -48,7 +48,7 @@ def turned(one, angle):
     cosine, sine = np.cos(angle), np.sin(angle)
     turn = np.array([[cosine, -sine], [sine, cosine]])
     headings = one.headings - 3.0 + angle
-    return TurningTrack(one.stamps, one.enu, one.local @ turn.T, headings, one.sigma)
+    return TurningTrack(one.stamps, one.enu, one.local @ turn.T, headings, one.sigmas)
 
 
 @pytest.mark.parametrize('error', [(4.0, 0.0), (0.0, 2.0), (-2.0, -1.5), (1.2, 0.9)])
@@ -111,6 +111,29 @@ def test_a_few_wrong_fixes_do_not_matter():
     assert antenna_finding('gnss', one, ARM, early=False) is None
 
 
+def town(seed):
+    """Two bends of a street, in which houses spoil the fixes, and these say so."""
+    rng = np.random.default_rng(seed)
+    grid = np.arange(0.0, 45.0, 0.01)
+    turned = np.clip((grid - 8.0) / 4.0, 0.0, 1.0) + np.clip((grid - 32.0) / 4.0, 0.0, 1.0)
+    yaw = 0.5 * np.pi * turned
+    base = np.cumsum(0.01 * (5.5 + np.sin(0.3 * grid)) * np.exp(1j * yaw))
+    at = np.arange(100, 4400, 100)
+    sigmas = np.full(len(at), 0.025)
+    sigmas[8:14], sigmas[32:37] = 2.0, 0.3
+    ahead = np.exp(1j * yaw[at])
+    local = base[at] + (ARM[0] + 1j * ARM[1]) * ahead
+    enu = local + sigmas * (rng.normal(size=(len(at), 2)) @ [1.0, 1j])
+    local = local + np.cumsum(rng.normal(scale=0.015, size=(len(at), 2)) @ [1.0, 1j])
+    both = (np.stack([place.real, place.imag], axis=1) for place in (enu, local))
+    return TurningTrack(at * (NANOSECONDS // 100), *both, yaw[at], sigmas)
+
+
+@pytest.mark.parametrize('seed', [3, 10, 13, 19])
+def test_poor_fixes_in_the_bends_do_not_move_the_antenna(seed):
+    assert antenna_finding('gnss', town(seed), ARM, early=True) is None
+
+
 def test_what_is_found_early_is_in_force():
     found = antenna_finding('gnss', turned(track((0.0, 2.0)), 0.4), ARM, early=True)
     assert found is not None and found.changes and 'in force' in found.remedy
@@ -118,12 +141,14 @@ def test_what_is_found_early_is_in_force():
 
 def test_what_fixes_cannot_tell_anyway_is_no_matter():
     one = turned(track((0.0, 1.5)), 0.4)
-    rough = TurningTrack(one.stamps, one.enu, one.local, one.headings, 2.0)
+    rough = TurningTrack(
+        one.stamps, one.enu, one.local, one.headings, np.full(len(one.stamps), 2.0)
+    )
     assert antenna_finding('gnss', one, ARM, early=False) is not None
     assert antenna_finding('gnss', rough, ARM, early=False) is None
 
 
 def test_few_fixes_tell_nothing():
     one = track((4.0, 2.0))
-    few = TurningTrack(one.stamps[:9], one.enu[:9], one.local[:9], one.headings[:9], one.sigma)
+    few = TurningTrack(one.stamps[:9], one.enu[:9], one.local[:9], one.headings[:9], one.sigmas[:9])
     assert antenna_finding('gnss', few, ARM, early=False) is None

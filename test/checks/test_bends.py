@@ -38,5 +38,12 @@ def test_a_single_bend_is_told_with_its_place():
     assert 'at 10.0 s' in found.text and '0.6 m' in found.text
 
 
+def test_a_match_that_another_lidar_contradicts_is_no_bend_of_the_map():
+    metres, deviations = [0.05] * 8, [0.4] * 8
+    other = Stretches('right', np.arange(1, 9) * 2 * NANOSECONDS, np.array(metres), np.full(8, 0.4))
+    metres[4], deviations[4] = 0.6, 6.0
+    assert bend_findings([stretches(metres, deviations), other], 0) == []
+
+
 def test_lidars_without_stretches_say_nothing():
     assert bend_findings([stretches([], [])], 0) == []
