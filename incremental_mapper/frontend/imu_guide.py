@@ -12,7 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from incremental_mapper.config import Config
-from incremental_mapper.frontend.imu_preintegration import EMPTY_SERIES, ImuSeries
+from incremental_mapper.frontend.imu_preintegration import (
+    EMPTY_SERIES,
+    ImuSeries,
+    hard_force,
+)
 from incremental_mapper.frontend.inertial_motion import Leap, Strip, make_strip
 from incremental_mapper.frontend.preprocessing import Sweep, Twist
 from incremental_mapper.measurements import NANOSECONDS
@@ -31,6 +35,8 @@ HARDEST = 40.0
 FORCE_NOISE = 0.3
 """m/s^2 by which the mean force between two scans is off: vibration, scale, and how well the
 samples between are known. It limits how far the velocity is believed over many scans."""
+GRAVITY = 9.81
+"""m/s^2 of which the size of the mean force between two scans is no more than a little off."""
 GRAVITY_WALK = 0.1
 """m/s^2/sqrt(s) by which gravity as the IMU feels it wanders, with the biases and their turning."""
 BIAS, BIAS_WALK = 0.02, 0.0002
@@ -66,7 +72,9 @@ class Momentum:
         step = np.zeros((6, 6))
         step[:3, :3] = step[3:, 3:] = back
         step[:3, 3:] = passed * back
-        noise = np.repeat([(FORCE_NOISE * passed) ** 2, GRAVITY_WALK**2 * abs(passed)], 3)
+        felt = float(hard_force(leap.velocity / passed, GRAVITY)) if passed else 0.0
+        shaken = FORCE_NOISE**2 + felt**2
+        noise = np.repeat([shaken * passed**2, GRAVITY_WALK**2 * abs(passed)], 3)
         return Momentum(
             back @ (self.velocity + self.gravity * passed + leap.velocity),
             back @ self.gravity,

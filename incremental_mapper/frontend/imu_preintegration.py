@@ -14,6 +14,10 @@ from incremental_mapper.measurements import NANOSECONDS, ImuSample
 SMOOTHED = 30_000_000
 """Nanoseconds to either side over which a rate of turn is averaged before its change is taken: the
 noise of single samples, times a lever arm of metres, would be more than what springs do."""
+HARD = 4.0
+"""m/s^2 by which the size of the specific force differs from gravity where it is hard: no car's
+wheels push as much, but a knock does, and so do hands and legs. It may be true, but it is believed
+no further than matches say the same: its whole change of velocity may be none."""
 APART = 150_000_000
 """Nanoseconds between neighbours that still tell how the turn changes: an IMU of 10 Hz, no hole."""
 
@@ -213,6 +217,9 @@ def integrate(
     constant_bias: bool = False,
 ) -> gtsam.PreintegratedCombinedMeasurements | gtsam.PreintegratedImuMeasurements:
     """As ``preintegrate``, with these ``samples``, one or more, wherever they lie."""
+    felt = hard_force(samples.acceleration, float(np.linalg.norm(parameters.n_gravity)))
+    if felt.any():
+        parameters = _doubting(parameters, float(felt.mean()), (end - start) / NANOSECONDS)
     # Stamps are subtracted as integers: doubles hold epoch nanoseconds to 256 ns only.
     moments = [stamp - start for stamp in samples.stamps.tolist()]
     edges = [(first + second) / 2.0 for first, second in pairwise(moments)]
@@ -230,6 +237,44 @@ def integrate(
             preintegrated.integrateMeasurement(force, rate, dt)
         begin = end_ns
     return preintegrated
+
+
+def _doubting(
+    parameters: gtsam.PreintegrationCombinedParams, felt: float, seconds: float
+) -> gtsam.PreintegrationCombinedParams:
+    """Parameters with which a hard force that is felt in the mean over a span may be none."""
+    eye = np.eye(3)
+    made = gtsam.PreintegrationCombinedParams.MakeSharedU(
+        float(np.linalg.norm(parameters.n_gravity))
+    )
+    # White noise of this density adds up to the whole change of velocity.
+    made.setAccelerometerCovariance(
+        parameters.getAccelerometerCovariance() + eye * felt**2 * max(seconds, 0.0)
+    )
+    made.setGyroscopeCovariance(parameters.getGyroscopeCovariance())
+    made.setBiasAccCovariance(parameters.getBiasAccCovariance())
+    made.setBiasOmegaCovariance(parameters.getBiasOmegaCovariance())
+    made.setIntegrationCovariance(parameters.getIntegrationCovariance())
+    placed = parameters.getBodyPSensor()
+    if placed is not None:
+        made.setBodyPSensor(placed)
+    return made
+
+
+def hard_force(force: NDArray[np.float64], gravity: float) -> NDArray[np.float64]:
+    """How much of a specific force is motion where it is more than vehicles feel, whichever way up.
+
+    Args:
+        force: Specific forces (..., 3), m/s^2.
+        gravity: Its magnitude, m/s^2.
+
+    Returns:
+        The force (...) across gravity that makes the whole, m/s^2; 0 where it is not ``HARD``.
+    """
+    square = np.square(force).sum(axis=-1)
+    hard = np.abs(np.sqrt(square) - gravity) > HARD
+    felt: NDArray[np.float64] = np.where(hard, np.sqrt(np.abs(square - gravity**2)), 0.0)
+    return felt
 
 
 def _swung(samples: ImuSeries, T_base_imu: gtsam.Pose3 | None) -> NDArray[np.float64]:

@@ -301,3 +301,23 @@ def test_a_series_goes_on_behind_a_hole_with_a_single_sample():
         sample = make_imu(EPOCH + number * SECOND, 'imu', np.ones(3), np.ones(3))
         behind = behind.joined([sample])
         assert behind.changes.shape == behind.gyro.shape == (number, 3)
+
+
+@pytest.mark.parametrize('felt', [(15.0, 0.0, 0.0), (0.0, -20.0, 0.0), (0.0, 0.0, 12.0)])
+def test_a_knock_may_have_changed_no_velocity_at_all(felt):
+    stamps = [EPOCH + t * SECOND // 100 for t in range(10)]
+    knock = series(stamps, acceleration=np.add(felt, (0.0, 0.0, GRAVITY)))
+    span = preintegrate(knock, EPOCH, EPOCH + SECOND // 10, parameters(), NO_BIAS)
+    velocity = np.sqrt(np.diag(span.preintMeasCov())[6:9])
+    impulse = 0.1 * float(np.linalg.norm(felt))
+    assert (velocity > 0.9 * impulse).all()
+
+
+def test_what_a_car_feels_is_believed_as_the_settings_say():
+    stamps = [EPOCH + t * SECOND // 100 for t in range(10)]
+    hard_turn = series(stamps, acceleration=(3.0, 6.0, GRAVITY))
+    span = preintegrate(hard_turn, EPOCH, EPOCH + SECOND // 10, parameters(), NO_BIAS)
+    calm = preintegrate(series(stamps), EPOCH, EPOCH + SECOND // 10, parameters(), NO_BIAS)
+    np.testing.assert_allclose(
+        np.diag(span.preintMeasCov())[6:9], np.diag(calm.preintMeasCov())[6:9], rtol=0.01
+    )
