@@ -87,12 +87,3 @@ def fixes_pulled(drive: Recording, folder: Path) -> Path:
         return _place(message, 0.0, 4.0 * np.sin(np.pi * since))
 
     return drive.each(FIX, change).write(folder / 'bag')
-
-
-@lie(MENDED, WARNED, SOUND, about=ANY, drive='turns', factor=3.0)
-def fixes_drift_slowly(drive: Recording, folder: Path) -> Path:
-    """Fixes that drift by 0.2 m a second."""
-    start = drive.start
-    return drive.each(
-        FIX, lambda m: _place(m, 0.2 * (stamp_of(m) - start) / NANOSECONDS, 0.0)
-    ).write(folder / 'bag')

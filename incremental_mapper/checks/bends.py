@@ -29,9 +29,6 @@ AGREED = 1.0
 """The same, within which the matches of another LiDAR and the map say the same."""
 SMALL = 0.25
 """Metres of a stretch of which nothing is said."""
-ASTRAY = 0.5
-"""Metres by which most stretches are off where a map is not to be trusted: its ATE was 2.3 m and
-more from there on, and 1 m at the most below."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,7 +77,7 @@ def _judge(one: Stretches, every: Sequence[Stretches], first: int) -> Finding | 
     off = (one.metres > SMALL) & ~_agreed(one, every)
     typical = float(np.median(one.metres))
     if len(one.stamps) >= FEWEST and np.median(one.deviations) > BENT and typical > SMALL:
-        severity = Severity.ERROR if typical > ASTRAY else Severity.WARNING
+        severity = Severity.ERROR  # a decimetre a second is metres in a minute
         text = f'all along the map has a way that is {typical:.1f} m off within {STRETCH:.0f} s'
     elif len(sharp := np.flatnonzero(off & (one.deviations > SHARP))):
         worst = sharp[np.argmax(one.metres[sharp])]

@@ -31,6 +31,15 @@ _CAUSES = {
 """Rules, and those whose finding explains what they found before."""
 BETTER = 0.2
 """Share of that misfit that is left, at most, where the cause is found."""
+STRETCHED, WIDE = 0.015, 5.0
+"""Share of the extent by which a track is off at least, and metres in its smaller direction, where
+it may be stretched."""
+LONGER = 0.04
+"""By which it must be too long or too short to the east or to the north. Sound drives with bends:
+at most 0.02; a field without structure 0.06, but there that explains only half of the misfit.
+Gons: 0.05 and 0.13."""
+GON = 0.9
+"""Degrees in a gon."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,8 +65,8 @@ def shape_finding(sensor: str, shape: Shape) -> Finding | None:
         shape: Fixes of a few hundred metres, over which odometry hardly drifts.
 
     Returns:
-        ``exchanged_degrees`` or ``lost_sign``, mended; None where the shapes agree, or where
-        neither is what is wrong.
+        ``exchanged_degrees`` or ``lost_sign``, mended; ``track_stretched``, an error; None where
+        the shapes agree, or where none of these is what is wrong.
     """
     if len(shape.local) < FEWEST:
         return None
@@ -68,7 +77,7 @@ def shape_finding(sensor: str, shape: Shape) -> Finding | None:
     now = misfit(metres(shape.degrees), shape.local)
     least = MISFIT * extent + NOISE * shape.sigma
     if now < least:
-        return None
+        return _stretched(sensor, shape, now, extent)
     latitude, longitude = shape.degrees.T
     causes = []
     if np.abs(longitude).max() <= 90.0:
@@ -92,6 +101,36 @@ def shape_finding(sensor: str, shape: Shape) -> Finding | None:
         f'put right as with fixes.{key}: true; correct the driver',
         {'fixes': {key: True}},
     )
+
+
+def _stretched(sensor: str, shape: Shape, now: float, extent: float) -> Finding | None:
+    """A track that is too long to the east or to the north, and otherwise the same."""
+    enu = metres(shape.degrees)
+    fixes, places = enu - enu.mean(axis=0), shape.local - shape.local.mean(axis=0)
+    narrow = np.linalg.svd(places, compute_uv=False)[1] / np.sqrt(len(places))
+    if now < STRETCHED * extent + NOISE * shape.sigma or narrow < WIDE:
+        return None
+    affine = np.linalg.lstsq(places, fixes, rcond=None)[0]
+    left = float(np.sqrt(np.mean(np.sum((fixes - places @ affine) ** 2, axis=1))))
+    scales = np.linalg.norm(affine, axis=0)
+    if left > BETTER * now or np.abs(scales - 1.0).max() < LONGER:
+        return None
+    in_gons = misfit(metres(shape.degrees * GON), shape.local) < BETTER * now
+    unit = ': latitude and longitude in gons, 400 of which are a circle' if in_gons else ''
+    return Finding(
+        'track_stretched',
+        Severity.ERROR,
+        sensor,
+        f'the track of {len(fixes)} fixes is that of odometry, but {_percent(scales[0])} from west '
+        f'to east and {_percent(scales[1])} from south to north{unit}',
+        'let the driver send degrees of WGS 84'
+        if in_gons
+        else 'correct what the driver sends: another unit, coordinates of a grid',
+    )
+
+
+def _percent(scale: float) -> str:
+    return f'{abs(scale - 1.0):.0%} too {"long" if scale > 1.0 else "short"}'
 
 
 def without_consequences(before: Sequence[Finding], now: Sequence[Finding]) -> list[Finding]:

@@ -44,6 +44,22 @@ def test_a_lost_sign_is_known_by_the_bend():
     assert (found.rule, found.settings) == ('lost_sign', {'fixes': {'mirrored': True}})
 
 
+def test_gons_are_known_by_a_track_of_another_size_each_way():
+    shape = bend()
+    found = shape_finding('gnss', replace(shape, degrees=shape.degrees / 0.9))
+    assert found is not None and found.severity is Severity.ERROR
+    assert found.rule == 'track_stretched' and 'gons' in found.text
+    assert '11% too long from south to north' in found.text
+
+
+def test_a_track_that_is_stretched_is_told_without_a_unit():
+    shape = bend()
+    stretched = shape.degrees[0] + [1.0, 0.8] * (shape.degrees - shape.degrees[0])
+    found = shape_finding('gnss', replace(shape, degrees=stretched))
+    assert found is not None and found.rule == 'track_stretched'
+    assert 'gons' not in found.text and '20% too short from west to east' in found.text
+
+
 def test_on_a_straight_road_nobody_can_tell():
     shape = bend(straight=True)
     for degrees in (shape.degrees[:, ::-1], shape.degrees * [1.0, -1.0]):
