@@ -29,7 +29,7 @@ NEAR_UNIT = 2.5
 more than bumps turns the car, it is 0.57 to 1.18 times the true one."""
 EXACT = 0.1
 """Largest relative deviation of a scale that is none of a unit's, to be believed."""
-OFF, AGREEING, SIGMAS = 0.15, 0.95, 6.0
+OFF, AGREEING, SIGMAS = 0.08, 0.95, 6.0
 """Share by which the fitted scale may be off 1 where the car turns, the correlation from which that
 is asked, and how many of its standard deviations it must be. Drives here that turn have scales of
 0.97 to 0.99 with correlations of 0.973 and more, and deviations of 0.002 to 0.008."""
@@ -93,9 +93,11 @@ def check_motion(
         if not found and together and _turns_otherwise(best):
             other = _axes(compare_axes(evidence), settings) if abs(best.lag) <= lag else None
             return (other or _contradiction(best),)
-        # With another clock the axes look wrong too.
+        # With another clock the axes look wrong too; where none is certain, exchanged ones of the
+        # gyroscope look like one.
         if found or abs(best.lag) > lag:
-            return tuple(found)
+            mixed = _gyro_axes(compare_axes(evidence)) if together and not found else None
+            return tuple(found) if mixed is None else (mixed,)
     elif best is not None and _disagrees(evidence, best, last):
         return (
             _switched_off(
@@ -105,7 +107,7 @@ def check_motion(
             ),
         )
     axes = compare_axes(evidence)
-    other = _axes(axes, settings) if together else None
+    other = (_axes(axes, settings) or _gyro_axes(axes)) if together else None
     if other is not None:
         return (other,)
     seconds = float(evidence.spans.max() - evidence.spans.min()) / NANOSECONDS
@@ -208,7 +210,7 @@ def _axes(axes: Axes, settings: Imu) -> Finding | None:
         if not (axes.rotation == np.eye(3)).all():
             tree['T_base_sensor'] = turned_extrinsics(axes.rotation, settings)
             said.append(f'imu.T_base_sensor: {tree["T_base_sensor"]}')
-        if not axes.upright and axes.was_upright:
+        if (not axes.upright and axes.was_upright) or axes.force_loss > AXES_GAIN:
             return _contradicted(
                 f'rotation and acceleration fit those of scan matching only with {", ".join(said)}'
             )
@@ -237,6 +239,20 @@ def _axes(axes: Axes, settings: Imu) -> Finding | None:
             f'about imu.T_base_sensor: {numbers}',
         )
     return None
+
+
+def _gyro_axes(axes: Axes) -> Finding | None:
+    """Axes of the gyroscope alone that are named or signed otherwise."""
+    if not axes.as_said or axes.rates_gain < AXES_GAIN or (axes.rates == np.eye(3)).all():
+        return None
+    signs = axes.rates.sum(axis=1)
+    names = [
+        ('-' if sign < 0.0 else '') + 'xyz'[int(np.abs(row).argmax())]
+        for row, sign in zip(axes.rates, signs, strict=True)
+    ]
+    return _contradicted(
+        f'x, y, z of the rotation are ({", ".join(names)}) of the gyroscope by scan matching'
+    )
 
 
 def _turns_otherwise(best: Agreement) -> bool:

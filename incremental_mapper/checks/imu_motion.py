@@ -238,6 +238,10 @@ class Axes:
         was_upright: Whether it does as the extrinsics say.
         free: The rotation (3, 3) that fits best of all.
         free_gain: Logarithm of its likelihood ratio to the best exchange of axes.
+        force_loss: Logarithm of the likelihood ratio of the extrinsics to ``rotation`` by
+            acceleration alone.
+        rates: (3, 3), the exchange of the gyroscope's axes alone, signs included, that fits best.
+        rates_gain: Logarithm of its likelihood ratio to the next best.
     """
 
     rotation: Array
@@ -248,6 +252,9 @@ class Axes:
     was_upright: bool
     free: Array
     free_gain: float
+    force_loss: float
+    rates: Array
+    rates_gain: float
 
     @property
     def as_said(self) -> bool:
@@ -255,19 +262,20 @@ class Axes:
         return self.sign == 1 and bool((self.rotation == np.eye(3)).all())
 
 
-def _quarter_turns() -> Array:
-    """The 24 rotations that exchange axes, the identity first."""
+def _exchanges() -> Array:
+    """The 48 ways of naming and signing three axes, the identity first."""
     found = []
     for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
         matrix = np.zeros((3, 3))
         matrix[range(3), order] = signs
-        if np.linalg.det(matrix) > 0.0:
-            found.append(matrix)
+        found.append(matrix)
     return np.array(sorted(found, key=lambda matrix: -np.trace(matrix)))
 
 
-QUARTER_TURNS = _quarter_turns()
-"""Ways of exchanging axes (24, 3, 3), the identity first."""
+EXCHANGES = _exchanges()
+"""Ways of exchanging axes (48, 3, 3), mirrored ones among them, the identity first."""
+QUARTER_TURNS = EXCHANGES[np.linalg.det(EXCHANGES) > 0.0]
+"""The rotations among them (24, 3, 3), the identity first."""
 UPRIGHT = float(np.cos(np.radians(30.0)))
 """Cosine of the angle between gravity and the z axis of base_link, above which it points up."""
 NOT_UPRIGHT = 40.0
@@ -304,6 +312,8 @@ def compare_axes(evidence: MotionEvidence) -> Axes:
     products = by_turn + sign * by_force
     free = best_rotation(products)
     turn = QUARTER_TURNS[best % len(QUARTER_TURNS)]
+    alone = np.einsum('kij,ij->k', EXCHANGES, by_turn)
+    first, next_best = np.argsort(alone)[:-3:-1].tolist()
     return Axes(
         rotation=turn,
         sign=sign,
@@ -313,6 +323,9 @@ def compare_axes(evidence: MotionEvidence) -> Axes:
         was_upright=bool(upright[0]),
         free=free,
         free_gain=float(((free - turn) * products).sum()),
+        force_loss=float(((np.eye(3) - sign * turn) * by_force).sum()),
+        rates=EXCHANGES[first],
+        rates_gain=float(alone[first] - alone[next_best]),
     )
 
 

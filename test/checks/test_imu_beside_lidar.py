@@ -165,3 +165,20 @@ def test_a_full_scale_that_is_set_wrong_is_found_where_the_car_turns(rate):
 def test_a_scale_that_noise_makes_is_none():
     for rate in (0.95, 1.05):
         assert check_motion(evidence(rate=rate, seconds=20.0), Imu()) == ()
+
+
+@pytest.mark.parametrize(
+    ('rates', 'said'),
+    [
+        ([[0, 1, 0], [1, 0, 0], [0, 0, 1]], '(y, x, z)'),
+        ([[-1, 0, 0], [0, 1, 0], [0, 0, 1]], '(-x, y, z)'),
+        ([[0, 1, 0], [-1, 0, 0], [0, 0, 1]], 'contradict'),
+    ],
+)
+def test_axes_of_the_gyroscope_alone_that_are_exchanged_are_told(rates, said):
+    seen = evidence(seconds=20.0)
+    mixed = replace(seen, gyro=seen.gyro @ np.array(rates, dtype=float))
+    found = only(check_motion(mixed, Imu()))
+    assert (found.rule, found.severity) == ('imu_axes', Severity.WARNING)
+    assert found.settings == {'imu': {'enabled': False}}
+    assert said in found.text
