@@ -5,7 +5,6 @@ from collections.abc import Sequence
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 
 def pose_matrix(numbers: Sequence[float]) -> NDArray[np.float64]:
@@ -52,6 +51,9 @@ def matrix_numbers(transform: NDArray[np.float64]) -> list[float]:
     Returns:
         x, y, z in metres and the quaternion qx, qy, qz, qw.
     """
+    # Imported where it is used: a process for each LiDAR starts a quarter of a second sooner.
+    from scipy.spatial.transform import Rotation
+
     turn = Rotation.from_matrix(transform[:3, :3]).as_quat()
     return [float(value) for value in (*transform[:3, 3], *turn)]
 
