@@ -13,8 +13,8 @@ from incremental_mapper.config import Config, Tree
 from incremental_mapper.frontend.fix_gate import FixGate
 from incremental_mapper.frontend.front_end import Prepared
 from incremental_mapper.mapping.beat_watch import BeatWatch
+from incremental_mapper.mapping.fit_watch import FitWatch
 from incremental_mapper.mapping.imu_watch import ImuWatch
-from incremental_mapper.mapping.judgement import FitWatch
 from incremental_mapper.mapping.mount_watch import MountWatch
 from incremental_mapper.mapping.presence_watch import PresenceWatch
 from incremental_mapper.mapping.window_buffer import Window

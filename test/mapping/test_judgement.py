@@ -20,7 +20,8 @@ from incremental_mapper.graph.factors import (
 )
 from incremental_mapper.graph.frontier import Frontier
 from incremental_mapper.map.store import MemoryStore
-from incremental_mapper.mapping.judgement import CLOUDS, FitWatch, judge_map, judged, residuals
+from incremental_mapper.mapping.fit_watch import FitWatch
+from incremental_mapper.mapping.judgement import CLOUDS, judge_map, judged, residuals
 from incremental_mapper.mapping.statistics import Totals
 from incremental_mapper.smoothing.graph_state import (
     GraphState,
