@@ -18,6 +18,9 @@ without noise is at one range along a ring, but then at one elevation; a wall is
 of one range over 0.7 degrees at 10 m."""
 SAMPLE = 4999
 """Points that are looked at; a prime, so that they are not all of one ring."""
+FIRST, CROWD = 1000, 8
+"""Points that are looked at first, and how many of them at one range make a closer look: 2 or 3 are
+by chance, 20 where as many points are at one range as ``SHARE`` says."""
 MOST_RANGES = 3
 """Ranges that a cloud is freed of: a driver has one for no return, or one for each kind of it."""
 
@@ -59,6 +62,8 @@ def _constant_range(points: Points) -> float | None:
     """The range at which too many points are, metres."""
     if len(points) < FEWEST:
         return None
+    if len(points) > FIRST and not _crowded(points):
+        return None
     sample = points
     if len(points) > SAMPLE:
         sample = points[np.arange(SAMPLE) * len(points) // SAMPLE]
@@ -79,6 +84,15 @@ def _constant_range(points: Points) -> float | None:
             return middle
         middles = middles[np.abs(middles - middle) > NEAR]
     return None
+
+
+def _crowded(points: Points) -> bool:
+    """Whether some of a few points are at one range: most clouds are done with that."""
+    ranges = _ranges(points.take(np.arange(FIRST) * len(points) // FIRST, axis=0))
+    ranges = np.sort(ranges[(ranges > 0.0) & (ranges < np.inf)])
+    if len(ranges) < CROWD:
+        return False
+    return bool((ranges[CROWD - 1 :] - ranges[: 1 - CROWD] <= NEAR).any())
 
 
 def _all_about(points: Points) -> bool:

@@ -29,7 +29,7 @@ BEAMS = directions(16_000, RINGS)
 RANGES = np.random.default_rng(5).uniform(2.0, 60.0, len(BEAMS))
 
 
-@pytest.mark.parametrize('share', [0.05, 0.3, 0.95])
+@pytest.mark.parametrize('share', [0.025, 0.05, 0.3, 0.95])
 @pytest.mark.parametrize('written', [0.5, 40.0, 131.07])
 def test_points_at_one_range_in_many_directions_are_left_out(share, written):
     missed = np.random.default_rng(1).random(len(BEAMS)) < share
@@ -70,3 +70,11 @@ def test_a_wall_across_is_a_surface():
     wall = np.where(BEAMS[:, 0] > 0.5, 3.0 / np.maximum(BEAMS[:, 0], 1e-9), RANGES)
     points = (BEAMS * np.round(wall, 2)[:, None]).astype(np.float32)
     assert without_constant_ranges(points)[1] == ()
+
+
+@pytest.mark.parametrize('count', [0, 5, 20])
+def test_a_large_cloud_of_few_numbers_is_no_crowd(count):
+    points = np.full((5000, 3), np.nan, dtype=np.float32)
+    points[:: 5000 // max(count, 1)][:count] = 7.0
+    kept, remarks = without_constant_ranges(points)
+    assert kept is points and remarks == ()

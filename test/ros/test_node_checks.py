@@ -2,6 +2,7 @@
 
 import json
 
+import numpy as np
 import pytest
 
 pytest.importorskip('rclpy', reason='rclpy is not installed (extra "ros")')
@@ -135,3 +136,19 @@ def test_an_imu_in_degrees_is_mended_while_the_node_runs(
         assert 'before_mend' not in session.dropped('imu')
     finally:
         session.close()
+
+
+def test_beams_without_a_return_at_one_range_are_left_out_live(start, messages):
+    def change(message):
+        data = np.frombuffer(bytes(message.data), dtype=np.uint8).reshape(-1, message.point_step)
+        data = data.copy()
+        points = data[:, :12].copy().view('<f4')
+        points[::5] *= 40.0 / np.linalg.norm(points[::5], axis=1, keepdims=True)
+        data[:, :12] = points.view(np.uint8)
+        message.data = data.ravel().tobytes()
+        return message
+
+    session = start()
+    session.play([item.changed(change) if item.topic == LEFT else item for item in messages[:150]])
+    session.finish()
+    session.wait(lambda: any('constant_range' in key for key in checks(session)[2]), 'the finding')
