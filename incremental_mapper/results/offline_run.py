@@ -164,7 +164,7 @@ def _looked_at(drive: Drive) -> Drive:
     reopen = bool(proposed.keys() & {'lidars', 'imu', 'gnss'})
     source = open_source(drive.source.info.path, tree) if reopen else drive.source
     config = effective_config(source, tree, drive.where)
-    said = ', '.join(f'{choice.place}: {choice.value}' for choice in seen.start)
+    said = ', '.join(choice.text for choice in seen.start)
     files = ' and '.join(dict.fromkeys(choice.file for choice in seen.start))
     note = (
         f'no settings are given; a look at the sensors chose {said}, as in {files} '

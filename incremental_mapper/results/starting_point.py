@@ -15,6 +15,9 @@ and one that looks at the kerb by 10 to 15 still sees walls first."""
 DENSE = 60_000
 """Points of a dense scan: a VLP-16 has 30 000 rays, an HDL-64 and an OS1-128 give 107 000 to
 120 000 points."""
+MANY = 10_000
+"""Points of a scan from which matching it takes several times as long as handing it to another
+process: 64 beams are mapped twice as fast with one."""
 QUICK = 50.0
 """Samples a second of an IMU that tells the motion in a long window: with 0.3 s KITTI's rotations
 are a tenth worse than those of base with an IMU of 100 Hz (0.049 and 0.044 degrees from pose to
@@ -36,6 +39,12 @@ class Choice:
     why: str
     file: str
 
+    @property
+    def text(self) -> str:
+        """The setting as one writes it."""
+        value = str(self.value).lower() if isinstance(self.value, bool) else self.value
+        return f'{self.place}: {value}'
+
     def tree(self) -> Tree:
         """The setting as nested dictionaries."""
         tree: Tree = {}
@@ -47,12 +56,15 @@ class Choice:
         return tree
 
 
-def starting_point(shapes: Mapping[str, LidarShape], imu_rate: float = 0.0) -> tuple[Choice, ...]:
+def starting_point(
+    shapes: Mapping[str, LidarShape], imu_rate: float = 0.0, cores: int = 1
+) -> tuple[Choice, ...]:
     """Choose settings for the sensors that there are.
 
     Args:
         shapes: what each LiDAR is like.
         imu_rate: samples of the IMU a second, 0 without one.
+        cores: of the machine.
 
     Returns:
         What differs from the defaults; none where those are right.
@@ -82,6 +94,9 @@ def starting_point(shapes: Mapping[str, LidarShape], imu_rate: float = 0.0) -> t
     if points > DENSE:
         why = f'{points} points a scan: matches are as good and take half the time'
         chosen.append(Choice('odometry.voxel_size', 1.0, why, KITTI))
+    if points > MANY and cores > 1:
+        why = 'two cores or more: scans are matched beside the windows, with the same results'
+        chosen.append(Choice('odometry.processes', True, why, KITTI if len(shapes) == 1 else KAIST))
     heights = [shape.height for shape in shapes.values()]
     if heights and all(height is not None and 0.0 < height < LOW for height in heights):
         why = f'LiDAR {min(filter(None, heights)):.1f} m above the ground: a small vehicle, near '

@@ -3,6 +3,7 @@
 ``check`` shows it, ``map`` and ``evaluate`` without settings begin with it.
 """
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -67,7 +68,7 @@ class Survey:
     def start(self) -> tuple[Choice, ...]:
         """Settings that suit the sensors, apart from the defaults."""
         rates = [sample.rate for sample in self.samples if sample.kind is SensorKind.IMU]
-        return starting_point(self.shapes, max(rates, default=0.0))
+        return starting_point(self.shapes, max(rates, default=0.0), os.cpu_count() or 1)
 
     @cached_property
     def suspicions(self) -> tuple[Finding, ...]:

@@ -197,4 +197,4 @@ def _start(survey: Survey) -> Iterator[tuple[str, str]]:
     files = ' and '.join(dict.fromkeys(choice.file for choice in survey.start))
     yield 'start', f'the defaults, with these of {files}' if files else 'the defaults'
     for choice in survey.start:
-        yield '', f'{choice.place}: {choice.value}  ({choice.why})'
+        yield '', f'{choice.text}  ({choice.why})'

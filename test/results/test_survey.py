@@ -1,5 +1,6 @@
 """A look at an input: the shape of its LiDARs, where to start from, what is suspicious."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -77,6 +78,13 @@ def test_level_lidars_of_a_car_start_from_the_defaults():
         starting_point({'only': CAR}, 10.0) == ()
     )  # an IMU too slow for longer windows than usual
     assert starting_point({}, 100.0) == ()
+
+
+def test_large_scans_are_matched_in_processes_where_there_are_cores():
+    (choice,) = starting_point({'front': CAR, 'rear': CAR}, 100.0, cores=2)
+    assert choice.tree() == {'odometry': {'processes': True}}
+    assert choice.text == 'odometry.processes: true'
+    assert starting_point({'front': replace(CAR, points=2_000)}, 10.0, cores=2) == ()
 
 
 def test_shipped_files_hold_nothing_that_is_a_default():
