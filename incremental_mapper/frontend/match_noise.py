@@ -88,5 +88,11 @@ def weak_directions(covariance: NDArray[np.float64]) -> int:
     Args:
         covariance: (6, 6), rotation before translation.
     """
-    limits = ((covariance[:3, :3], WEAK_ROTATION), (covariance[3:, 3:], WEAK_TRANSLATION))
-    return sum(int((np.linalg.eigvalsh(part) > limit**2).sum()) for part, limit in limits)
+    weak = 0
+    own: list[float] = covariance.diagonal().tolist()
+    for place, limit in ((0, WEAK_ROTATION), (3, WEAK_TRANSLATION)):
+        # No eigenvalue is larger than their sum, which nearly always tells.
+        if not sum(own[place : place + 3]) <= limit**2:
+            part = covariance[place : place + 3, place : place + 3]
+            weak += int((np.linalg.eigvalsh(part) > limit**2).sum())
+    return weak
