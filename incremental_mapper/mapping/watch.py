@@ -17,8 +17,9 @@ from incremental_mapper.mapping.fit_watch import FitWatch
 from incremental_mapper.mapping.imu_watch import ImuWatch
 from incremental_mapper.mapping.mount_watch import MountWatch
 from incremental_mapper.mapping.presence_watch import PresenceWatch
+from incremental_mapper.mapping.range_watch import RangeWatch
 from incremental_mapper.mapping.window_buffer import Window
-from incremental_mapper.measurements import ImuSample, Measurement
+from incremental_mapper.measurements import ImuSample, LidarScan, Measurement
 from incremental_mapper.settings import merge
 from incremental_mapper.smoothing.graph_state import GraphState
 
@@ -59,6 +60,7 @@ class Watch:
         self._gate: FixGate | None = None
         self._presence = PresenceWatch()
         self._beat = BeatWatch()
+        self._ranges = RangeWatch(config)
         self._has_failed = False
 
     def failed(self, error: Exception) -> None:
@@ -74,6 +76,8 @@ class Watch:
 
     def measurement(self, measurement: Measurement) -> None:
         """Look at a measurement as it comes in."""
+        if isinstance(measurement, LidarScan):
+            self._scan(measurement)
         if not isinstance(measurement, ImuSample):
             return
         # What ``_guarded`` does, without its cost for every sample of an IMU.
@@ -84,6 +88,12 @@ class Watch:
                 self.add(finding)
         except Exception as error:
             self.failed(error)
+
+    @_guarded
+    def _scan(self, scan: LidarScan) -> None:
+        finding = self._ranges.scan(scan)
+        if finding is not None:
+            self.add(finding)
 
     @_guarded
     def window(self, window: Window) -> None:
