@@ -10,6 +10,7 @@ from importlib import import_module
 from incremental_mapper import __version__
 from incremental_mapper.cli import exit_status
 from incremental_mapper.errors import MapperError
+from incremental_mapper.garbage import search_little
 
 COMMANDS = {
     'simulate': ('simulate', 'write a simulated drive with ground truth, as a KAIST Urban folder'),
@@ -61,6 +62,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The exit status, see ``exit_status``.
     """
     words = sys.argv[1:] if arguments is None else list(arguments)
+    if arguments is None:
+        search_little()
     try:
         try:
             args = make_parser(words[0] if words else None).parse_args(words)

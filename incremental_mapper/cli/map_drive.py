@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any
 from incremental_mapper.cli import exit_status
 from incremental_mapper.cli.inputs import add_input
 from incremental_mapper.errors import OutputError
+from incremental_mapper.garbage import set_aside
 
 if TYPE_CHECKING:
     from incremental_mapper.config import Tree
     from incremental_mapper.results.watching import Watch
-    from incremental_mapper.trajectory import Trajectory
 
 STRATEGIES = 'mom, base, min_time_shift, min_solver_error, fewest'
 """The built-in ones, for the help."""
@@ -99,6 +99,7 @@ def run(args: argparse.Namespace) -> int:
     from incremental_mapper.checks.finding import Severity
     from incremental_mapper.cli.findings_text import print_findings
     from incremental_mapper.cli.progress import Progress
+    from incremental_mapper.evaluation.report.report_process import ReportProcess
     from incremental_mapper.results.offline_run import Stop, map_into, open_drive
     from incremental_mapper.results.run_folder import prepare_folder
     from incremental_mapper.results.summary import brief, summary
@@ -116,10 +117,23 @@ def run(args: argparse.Namespace) -> int:
     for note in drive.all_notes():
         print(f'note: {note}', file=sys.stderr)
     stop, watch = Stop(), _watch(args, folder)
-    with stop.listening(), Progress(drive.source.info.count) as progress:
-        done, remarks = map_into(folder, drive, progress.read, stop, progress.stage, watch)
+    set_aside()
+    with (
+        stop.listening(),
+        Progress(drive.source.info.count) as progress,
+        ReportProcess() as report,
+    ):
+
+        def stage(name: str) -> None:
+            progress.stage(name)
+            if name == 'final solve':
+                report.prepare()
+            elif name == 'pictures':  # all that the page is made of is written
+                report.begin(folder, drive.truth)
+
+        done, remarks = map_into(folder, drive, progress.read, stop, stage, watch)
         progress.stage('report')
-        _write_report(folder, drive.truth)
+        report.end()
     found = [note for note in done.statistics.input.notes if note not in drive.all_notes()]
     for remark in (*found, *remarks):
         print(f'note: {remark}', file=sys.stderr)
@@ -189,17 +203,6 @@ def _strategy(name: str) -> str:
     if name not in known:
         raise argparse.ArgumentTypeError(f'{name!r} is none of {", ".join(known)}')
     return name
-
-
-def _write_report(folder: Path, truth: 'Trajectory | None') -> None:
-    """Write the page of the run where its libraries are installed."""
-    from incremental_mapper.visualization.extras import importable
-
-    if not (importable('report.html') and importable('pictures')):
-        return
-    from incremental_mapper.evaluation.report.run_page import write_run_report
-
-    write_run_report(folder, truth)
 
 
 def _where(folder: Path, failed: bool) -> str:

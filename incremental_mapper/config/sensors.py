@@ -1,5 +1,6 @@
 """Settings of the sensors."""
 
+from functools import lru_cache
 from typing import Self
 
 import numpy as np
@@ -11,6 +12,12 @@ from incremental_mapper.geometry import pose_matrix
 
 MOST_OFFSET = 2.0**32
 """Upper limit of ``time_offset`` in seconds: stamps of ROS hold 32 bits of them."""
+
+
+@lru_cache(maxsize=64)
+def _matrix(numbers: tuple[float, ...]) -> NDArray[np.float64]:
+    """``pose_matrix``, once for each pose: windows ask for the same few again and again."""
+    return pose_matrix(numbers)
 
 
 class Sensor(Section):
@@ -26,7 +33,7 @@ class Sensor(Section):
 
     def matrix(self) -> NDArray[np.float64]:
         """T_base_sensor as a (4, 4) homogeneous matrix."""
-        return pose_matrix(self.T_base_sensor)
+        return _matrix(self.T_base_sensor).copy()
 
 
 class LidarSensor(Sensor):

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import gtsam
 import numpy as np
@@ -111,16 +112,19 @@ def propagate(
     if len(samples.stamps) == 0:
         return _coast(state, stamp, turns)
     # Runs of samples without a hole, and between them what the car does by itself.
-    ends = np.concatenate([[state.stamp], samples.stamps, [stamp]])
+    moments = [state.stamp, *samples.stamps.tolist(), stamp]
     low = 0
-    for hole in np.flatnonzero(np.diff(ends) > max_gap).tolist():
-        # It lies between ends[hole] and the next; samples [low, hole) come before it.
+    for hole, (first, second) in enumerate(pairwise(moments)):
+        if second - first <= max_gap:
+            continue
+        # Samples [low, hole) come before it.
         if hole > low:
-            state = _carry(state, int(ends[hole]), samples.part(low, hole), parameters)
-        state = _coast(state, int(ends[hole + 1]), turns)
+            state = _carry(state, first, samples.part(low, hole), parameters)
+        state = _coast(state, second, turns)
         low = hole
     if low < len(samples.stamps):
-        state = _carry(state, stamp, samples.part(low, len(samples.stamps)), parameters)
+        run = samples.part(low, len(samples.stamps)) if low else samples
+        state = _carry(state, stamp, run, parameters)
     return state
 
 
@@ -128,7 +132,8 @@ def _carry(
     state: State, stamp: int, samples: ImuSeries, parameters: gtsam.PreintegrationCombinedParams
 ) -> State:
     """By samples that cover the time."""
-    span = integrate(samples, state.stamp, stamp, parameters, state.bias)
+    # How the bias may walk does not matter here, and is most of the work.
+    span = integrate(samples, state.stamp, stamp, parameters, state.bias, constant_bias=True)
     moved = span.predict(gtsam.NavState(state.pose, state.velocity), state.bias)
     return State(stamp, normalise(moved.pose()), moved.velocity(), state.bias, state.unseen)
 

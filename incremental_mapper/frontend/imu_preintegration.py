@@ -26,13 +26,15 @@ APART = 150_000_000
 class ImuSeries:
     """Samples in time order: stamps (K,) ns, gyro (K, 3) rad/s, acceleration (K, 3) m/s^2.
 
-    ``turning`` is what was made of samples and of those before them, where that was asked for.
+    ``turning`` is what was made of samples and of those before them, and ``forces`` what spans are
+    made of, where that was asked for.
     """
 
     stamps: NDArray[np.int64]
     gyro: NDArray[np.float64]
     acceleration: NDArray[np.float64]
     turning: 'Turning | None' = None
+    forces: 'SpanForces | None' = None
 
     @property
     def changes(self) -> NDArray[np.float64]:
@@ -48,14 +50,19 @@ class ImuSeries:
     def part(self, low: int, high: int) -> 'ImuSeries':
         """The samples at positions [low, high)."""
         turning = None if self.turning is None else self.turning.part(low, high)
+        forces = None if self.forces is None else self.forces.part(low, high)
         return ImuSeries(
-            self.stamps[low:high], self.gyro[low:high], self.acceleration[low:high], turning
+            self.stamps[low:high], self.gyro[low:high], self.acceleration[low:high], turning, forces
         )
 
     def within(self, start: int, end: int) -> 'ImuSeries':
         """The samples with start <= stamp < end."""
         low, high = np.searchsorted(self.stamps, (start, end), side='left')
         return self.part(int(low), int(high))
+
+    def with_forces(self, parameters: gtsam.PreintegrationCombinedParams) -> 'ImuSeries':
+        """This series for spans with these ``parameters``: what they share is computed once."""
+        return replace(self, forces=span_forces(self, parameters))
 
     def nearest(self, stamp: int) -> 'ImuSeries':
         """The one sample nearest to ``stamp``; empty where there are none."""
@@ -93,6 +100,31 @@ class Turning:
     def part(self, low: int, high: int) -> 'Turning':
         """That of the samples at positions [low, high)."""
         return Turning(self.ends[low:high], self.rates[low:high], self.changes[low:high])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SpanForces:
+    """What spans take samples for.
+
+    ``forces`` (K, 3) are the accelerations without what a changing turn adds, m/s^2; ``hard`` (K,)
+    are the forces that no vehicle feels, see ``hard_force``.
+    """
+
+    forces: NDArray[np.float64]
+    hard: NDArray[np.float64]
+
+    def part(self, low: int, high: int) -> 'SpanForces':
+        """That of the samples at positions [low, high)."""
+        return SpanForces(self.forces[low:high], self.hard[low:high])
+
+
+def span_forces(samples: ImuSeries, parameters: gtsam.PreintegrationCombinedParams) -> SpanForces:
+    """What spans with these parameters take samples for."""
+    gravity = float(np.linalg.norm(parameters.n_gravity))
+    return SpanForces(
+        samples.acceleration - _swung(samples, parameters.getBodyPSensor()),
+        hard_force(samples.acceleration, gravity),
+    )
 
 
 def turning_of(
@@ -216,10 +248,14 @@ def integrate(
     bias: gtsam.imuBias.ConstantBias,
     constant_bias: bool = False,
 ) -> gtsam.PreintegratedCombinedMeasurements | gtsam.PreintegratedImuMeasurements:
-    """As ``preintegrate``, with these ``samples``, one or more, wherever they lie."""
-    felt = hard_force(samples.acceleration, float(np.linalg.norm(parameters.n_gravity)))
-    if felt.any():
-        parameters = _doubting(parameters, float(felt.mean()), (end - start) / NANOSECONDS)
+    """As ``preintegrate``, with these ``samples``, one or more, wherever they lie.
+
+    Their ``forces`` are taken for those with these ``parameters``.
+    """
+    told = samples.forces or span_forces(samples, parameters)
+    if told.hard.any():
+        passed = (end - start) / NANOSECONDS
+        parameters = _doubting(parameters, float(told.hard.mean()), passed)
     # Stamps are subtracted as integers: doubles hold epoch nanoseconds to 256 ns only.
     moments = [stamp - start for stamp in samples.stamps.tolist()]
     edges = [(first + second) / 2.0 for first, second in pairwise(moments)]
@@ -230,8 +266,8 @@ def integrate(
     )
     preintegrated = make(parameters, bias)
     begin = 0.0
-    forces = samples.acceleration - _swung(samples, parameters.getBodyPSensor())
-    for force, rate, end_ns in zip(forces, samples.gyro, [*edges, float(end - start)], strict=True):
+    ends = [*edges, float(end - start)]
+    for force, rate, end_ns in zip(told.forces, samples.gyro, ends, strict=True):
         dt = (end_ns - begin) / NANOSECONDS
         if dt > 0.0:  # a sample exactly at the start has half its time in the span before
             preintegrated.integrateMeasurement(force, rate, dt)

@@ -9,6 +9,7 @@ from typing import TypeAlias
 
 from incremental_mapper.checks.finding import Finding, ranked
 from incremental_mapper.config import Config, Tree
+from incremental_mapper.garbage import search_all, set_aside
 from incremental_mapper.mapping.following import Follower, PoseUpdate
 from incremental_mapper.mapping.load_shedding import NO_SHEDDING, LoadShedding
 from incremental_mapper.mapping.mapper import Mapper
@@ -21,7 +22,6 @@ from incremental_mapper.results.candidate_table import FILE_NAME
 from incremental_mapper.results.journal.journal_writer import Journal
 from incremental_mapper.results.run_statistics import InputFacts
 from incremental_mapper.results.sessions.going_on import EarlierMap
-from incremental_mapper.ros.garbage import search_all, set_aside
 from incremental_mapper.ros.inbox import View
 from incremental_mapper.ros.saving import Snapshot
 from incremental_mapper.ros.search_process import SearchProcess

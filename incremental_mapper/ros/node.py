@@ -29,12 +29,12 @@ except ImportError as error:
 
 from incremental_mapper.config import Tree
 from incremental_mapper.errors import ConfigError, MapperError
+from incremental_mapper.garbage import search_little
 from incremental_mapper.mapping.following import PoseUpdate
 from incremental_mapper.mapping.load_shedding import NO_SHEDDING
 from incremental_mapper.measurements import Drops, Measurement
 from incremental_mapper.ros.arguments import read_own_arguments
 from incremental_mapper.ros.drop_log import AGAIN
-from incremental_mapper.ros.garbage import search_little
 from incremental_mapper.ros.health import Health
 from incremental_mapper.ros.imu_odometry import make_imu_odometry
 from incremental_mapper.ros.inbox import Command, Deadline, Order, Renewal

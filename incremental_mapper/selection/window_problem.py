@@ -140,6 +140,7 @@ def pose_problem(
     """
     recent = config.mom.submap_scans
     max_gap = round(config.preintegration.max_gap * NANOSECONDS)
+    series = series.with_forces(parameters)
     # What is held for evidence that comes later is no part of a window's choice.
     prior = release(trimmed(state.prior, state.recent_poses(recent)))
     inputs = window_inputs(items, state, series, orientation, parameters, config)
@@ -219,8 +220,9 @@ def _motion_sigmas(state: GraphState, config: Config) -> MotionSigmas:
     if known is None:
         return MotionSigmas(graph.prior_sigma_velocity, graph.prior_sigma_gyroscope_bias)
     # The bias has the accelerometer's three first.
-    worst = [np.linalg.norm(block, ord=2) for block in (known[:3, :3], known[6:, 6:])]
-    return MotionSigmas(*(float(np.sqrt(variance)) for variance in worst))
+    blocks = np.stack([known[:3, :3], known[6:, 6:]])
+    worst = np.linalg.svd(blocks, compute_uv=False)[:, 0]
+    return MotionSigmas(*np.sqrt(worst).tolist())
 
 
 def _head_state(state: GraphState) -> State:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from importlib import import_module
+from importlib.util import find_spec
 
 INSTALL = 'pip install "incremental_mapper[report]"'
 LIBRARIES = {
@@ -24,6 +25,18 @@ def importable(files: str) -> bool:
     except Exception:
         return False
     return True
+
+
+def installed(files: str) -> bool:
+    """Tell at once whether a library is there; only ``importable`` knows whether it works.
+
+    Args:
+        files: A key of ``LIBRARIES``.
+    """
+    try:
+        return find_spec(LIBRARIES[files]) is not None
+    except ValueError:  # something else has its name
+        return False
 
 
 def left_out(files: Iterable[str]) -> str | None:

@@ -2,9 +2,9 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -29,12 +29,11 @@ from incremental_mapper.visualization.graph_view import (
     spread_clusters,
     unconnected_variables,
 )
+from incremental_mapper.visualization.strokes import Spot, Strokes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-Spot: TypeAlias = tuple[float, float]
 
 ROWS = {'pose': 0.0, 'velocity': -1.2, 'bias': -2.4}
 """Height of each kind of variable; arcs of odometry rise above the poses."""
@@ -58,7 +57,7 @@ class _Canvas:
     and a height) are drawn; ``origin`` is the stamp of the graph's first cluster in nanoseconds.
     ``node`` is the diameter of a variable in pixels, ``pixel`` the seconds that a pixel is wide.
     ``kinds`` has the heights of the variables' rows by their names, ``sensors`` those of the
-    sensors' rows, ``colours`` their colours.
+    sensors' rows, ``colours`` their colours. ``strokes`` are drawn when all is known.
     """
 
     axes: 'Axes'
@@ -72,6 +71,7 @@ class _Canvas:
     sensors: dict[str, float]
     lidars: list[str]
     colours: dict[str, str]
+    strokes: Strokes = field(default_factory=Strokes)
 
     @property
     def theme(self) -> Theme:
@@ -187,6 +187,7 @@ def paint_graph(
     shown = {item['id'] for item in clusters}
     factors = _draw_factors(canvas, graph, shown)
     variables, unconnected = _draw_variables(canvas, graph, shown)
+    canvas.strokes.draw(axes)
     _finish(canvas, start_ns, end_ns)
     return Shown(len(clusters), variables, factors, unconnected)
 
@@ -260,8 +261,8 @@ def _draw_clusters(canvas: _Canvas, clusters: Sequence[Record]) -> None:
         )  # fmt: skip
         canvas.axes.add_patch(box)
         for member in item['members']:
-            canvas.axes.plot(
-                canvas.seconds(member['stamp_ns']), canvas.sensors[member['sensor']], linestyle='',
+            canvas.strokes.mark(
+                (canvas.seconds(member['stamp_ns']), canvas.sensors[member['sensor']]),
                 marker='D' if member['kind'] == 'lidar' else '^', markersize=7,
                 color=canvas.colours[member['sensor']], zorder=4,
             )  # fmt: skip
@@ -301,17 +302,11 @@ def _draw_factors(canvas: _Canvas, graph: Record, shown: set[int]) -> int:
 
 
 def _draw_arc(canvas: _Canvas, spots: Sequence[Spot], colour: str, height: float) -> None:
-    from matplotlib.patches import PathPatch
-    from matplotlib.path import Path as Curve
-
     (x0, y0), (x1, y1) = spots
     lift = height * 4 / 3  # a cubic curve reaches three quarters of its control points' height
     inset = (x1 - x0) * 0.12
     points = [(x0, y0), (x0 + inset, y0 + lift), (x1 - inset, y1 + lift), (x1, y1)]
-    curve = Curve(points, [Curve.MOVETO, Curve.CURVE4, Curve.CURVE4, Curve.CURVE4])
-    canvas.axes.add_patch(
-        PathPatch(curve, facecolor='none', edgecolor=colour, linewidth=1.6, zorder=2)
-    )
+    canvas.strokes.arc(points, edgecolor=colour, linewidth=1.6, zorder=2)
     _draw_square(canvas, ((x0 + x1) / 2, (y0 + y1) / 2 + height), colour)
 
 
@@ -325,25 +320,23 @@ def _draw_span(canvas: _Canvas, keys: Sequence[str], spots: Sequence[Spot]) -> N
     if shared:
         (x, y) = biases[0]
         rail = y + BIAS_RAIL
-        canvas.axes.plot(
-            [hub[0], hub[0], x, x], [hub[1], rail, rail, y], color=canvas.theme.orange,
-            linewidth=1.1, alpha=0.8, zorder=2,
+        canvas.strokes.line(
+            [hub, (hub[0], rail), (x, rail), (x, y)], color=canvas.theme.orange, linewidth=1.1,
+            alpha=0.8, zorder=2,
         )  # fmt: skip
     _draw_star(canvas, hub, ends if shared else spots, canvas.theme.orange)
 
 
 def _draw_star(canvas: _Canvas, centre: Spot, spots: Sequence[Spot], colour: str) -> None:
     """A factor at ``centre`` with a line to each of its variables."""
-    for x, y in spots:
-        canvas.axes.plot(
-            [centre[0], x], [centre[1], y], color=colour, linewidth=1.1, alpha=0.8, zorder=2
-        )
+    for spot in spots:
+        canvas.strokes.line([centre, spot], color=colour, linewidth=1.1, alpha=0.8, zorder=2)
     _draw_square(canvas, centre, colour)
 
 
 def _draw_square(canvas: _Canvas, centre: Spot, colour: str) -> None:
-    canvas.axes.plot(
-        *centre, linestyle='', marker='s', markersize=FACTOR_SIZE * 72 / DPI, color=colour,
+    canvas.strokes.mark(
+        centre, marker='s', markersize=FACTOR_SIZE * 72 / DPI, color=colour,
         markeredgecolor=canvas.theme.ground, markeredgewidth=0.6, zorder=5,
     )  # fmt: skip
 
@@ -355,8 +348,8 @@ def _draw_variables(canvas: _Canvas, graph: Record, shown: set[int]) -> tuple[in
     for item in drawn:
         x, y = canvas.spots[item['key']]
         isolated = item['key'] in unconnected
-        canvas.axes.plot(
-            x, y, linestyle='', marker='o', markersize=canvas.node * 72 / DPI,
+        canvas.strokes.mark(
+            (x, y), marker='o', markersize=canvas.node * 72 / DPI,
             markerfacecolor=theme.unconnected if isolated else theme.node,
             markeredgecolor=theme.unconnected_edge if isolated else theme.ink,
             markeredgewidth=2.2 if isolated else 1.3, zorder=6,

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from incremental_mapper.ros import garbage
-from incremental_mapper.ros.garbage import search_all, search_little, set_aside
+from incremental_mapper import garbage
+from incremental_mapper.garbage import search_all, search_little, set_aside
 
 
 class Held:
