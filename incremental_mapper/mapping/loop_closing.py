@@ -110,22 +110,24 @@ def close_loops(state: GraphState, values: gtsam.Values, config: Config) -> Clos
     if not settings.enabled or not config.graph.final_optimization:
         return Closed(values)
     stretches = cut_way(state.clusters, values, settings.map_length)
-    try:
-        maps = cut_local_maps(stretches, state.clusters, state.scans, values, settings)
-    except OutputError:
-        return Closed(values, note=UNREADABLE)
+
+    def cut(wanted: Collection[int] | None) -> list[LocalMap]:
+        clusters, scans = state.clusters, state.scans
+        return cut_local_maps(stretches, clusters, scans, values, settings, wanted=wanted)
+
+    maps = cut(())
     if not maps or maps[-1].travelled - maps[0].travelled < settings.min_travel:
         return Closed(values)
     places = _known_places(state.factors.unpacked(), values)
     if places is None:
         return Closed(values)
-    found = find_closures(
-        maps,
-        places.relative,
-        settings,
-        config.odometry,
-        recognise=can_recognise() and not places.certain(maps, settings),
-    )
+    recognise = can_recognise() and not places.certain(maps, settings)
+    if recognise or by_place(maps, settings):  # else no points are looked at
+        try:
+            maps = cut(None)
+        except OutputError:
+            return Closed(values, note=UNREADABLE)
+    found = find_closures(maps, places.relative, settings, config.odometry, recognise=recognise)
     return _closed(state, maps, found, values, config, _library_note(stretches, settings))
 
 

@@ -4,6 +4,7 @@ Parquet needs pyarrow, which comes with the extra ``report`` and is imported whe
 Rows are written in groups, so that a long drive takes no more memory than a short one.
 """
 
+import io
 import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -92,10 +93,18 @@ class CandidateWriter:
         self._partial.unlink(missing_ok=True)
 
     def _write(self) -> None:
-        import pyarrow
+        from pyarrow import json as tables
 
+        # Python's own objects would make pyarrow import pandas, half a second of it, to see
+        # whether they are from there.
+        text = '\n'.join(map(json.dumps, self._waiting)).encode()
+        columns = tables.ParseOptions(
+            explicit_schema=self._schema, unexpected_field_behavior='error'
+        )
+        room = tables.ReadOptions(block_size=max(len(text), 1))
+        table = tables.read_json(io.BytesIO(text), read_options=room, parse_options=columns)
         with self._telling():
-            self._writer.write_table(pyarrow.Table.from_pylist(self._waiting, self._schema))
+            self._writer.write_table(table.cast(self._schema))
         self._waiting, self._members = [], 0
 
     @contextmanager
@@ -226,7 +235,7 @@ def members_text(candidate: Candidate) -> str:
 
 
 def _finite(number: float | None) -> float | None:
-    return number if number is not None and math.isfinite(number) else None
+    return float(number) if number is not None and math.isfinite(number) else None
 
 
 def _schema() -> 'pyarrow.Schema':

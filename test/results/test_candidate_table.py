@@ -1,6 +1,8 @@
 """candidates.parquet holds every candidate that the windows tell of, and reads back the same."""
 
 import json
+import os
+import subprocess
 import sys
 
 import pytest
@@ -66,6 +68,19 @@ def test_what_was_tried_reads_back_the_same(recorded):
             assert row['time_shift_s'] == candidate.time_shift / 1e9
             assert row['winner'] is (candidate == window.winner)
             assert (row['start_ns'], row['end_ns']) == (window.start, window.end)
+
+
+def test_nothing_imports_pandas_to_write_it(light_drive, tmp_path):
+    """It takes half a second, and pyarrow does so for a look at any list."""
+    (tmp_path / 'pandas.py').write_text("raise AssertionError('imported')", encoding='utf-8')
+    paths = os.pathsep.join([str(tmp_path), os.environ.get('PYTHONPATH', '')])
+    code = (
+        'import sys; from incremental_mapper import map_drive; '
+        "map_drive(*sys.argv[1:], {'selection': {'strategy': 'min_time_shift'}})"
+    )
+    words = [sys.executable, '-c', code, str(light_drive), str(tmp_path / 'out')]
+    subprocess.run(words, check=True, env={**os.environ, 'PYTHONPATH': paths})
+    assert (tmp_path / 'out' / FILE_NAME).is_file()
 
 
 def test_every_window_with_a_winner_has_one(recorded):
