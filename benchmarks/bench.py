@@ -32,7 +32,8 @@ from incremental_mapper.datasets.source import Source
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.mapping.statistics import STAGES, peak_rss_mb
 from incremental_mapper.measurements import LidarScan, Measurement
-from incremental_mapper.results.offline_run import effective_config, map_source
+from incremental_mapper.results.offline_run import map_source
+from incremental_mapper.results.opened_drive import effective_config
 from incremental_mapper.selection.choice import Choice
 from incremental_mapper.selection.strategies import Strategy, find_strategy
 from incremental_mapper.selection.window_problem import WindowProblem

@@ -25,7 +25,8 @@ from incremental_mapper.datasets.simulated.folder import simulate
 from incremental_mapper.datasets.simulated.options import SceneKind, SimulationOptions
 from incremental_mapper.graph.factors import FactorKind
 from incremental_mapper.measurements import NANOSECONDS
-from incremental_mapper.results.offline_run import Run, effective_config, map_drive
+from incremental_mapper.results.offline_run import Run, map_drive
+from incremental_mapper.results.opened_drive import effective_config
 from incremental_mapper.results.trajectory_errors import trajectory_errors
 from incremental_mapper.settings import merge, read_yaml
 from incremental_mapper.trajectory import Trajectory, from_matrices

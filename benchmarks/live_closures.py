@@ -27,7 +27,7 @@ from incremental_mapper.datasets.open import open_source
 from incremental_mapper.datasets.simulated.options import SceneKind
 from incremental_mapper.mapping.following import PoseUpdate
 from incremental_mapper.measurements import NANOSECONDS, Measurement
-from incremental_mapper.results.offline_run import effective_config
+from incremental_mapper.results.opened_drive import effective_config
 from incremental_mapper.ros.updates import News, Trouble, Update, WindowUpdate
 from incremental_mapper.ros.worker import Worker
 from incremental_mapper.settings import merge, read_yaml

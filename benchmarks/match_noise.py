@@ -29,7 +29,7 @@ from incremental_mapper.frontend.lidar_odometry import PreparedScan
 from incremental_mapper.frontend.match_noise import carried
 from incremental_mapper.graph.factors import pose_sigmas
 from incremental_mapper.measurements import LidarScan
-from incremental_mapper.results.offline_run import effective_config
+from incremental_mapper.results.opened_drive import effective_config
 from incremental_mapper.settings import make_config, merge, read_yaml
 from incremental_mapper.trajectory import Trajectory
 

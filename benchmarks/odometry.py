@@ -29,7 +29,7 @@ from incremental_mapper.datasets.open import open_source
 from incremental_mapper.frontend.front_end import FrontEnd
 from incremental_mapper.frontend.lidar_odometry import PreparedScan
 from incremental_mapper.measurements import NANOSECONDS, LidarScan
-from incremental_mapper.results.offline_run import effective_config
+from incremental_mapper.results.opened_drive import effective_config
 from incremental_mapper.settings import merge, read_yaml
 from incremental_mapper.trajectory import Trajectory
 

@@ -41,7 +41,7 @@ from incremental_mapper.measurements import (
     LidarScan,
     Measurement,
 )
-from incremental_mapper.results.offline_run import effective_config
+from incremental_mapper.results.opened_drive import effective_config
 from incremental_mapper.results.trajectory_errors import trajectory_errors
 from incremental_mapper.settings import merge, read_yaml
 from incremental_mapper.trajectory import Trajectory, from_matrices, match_truth

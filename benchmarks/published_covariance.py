@@ -25,7 +25,7 @@ from incremental_mapper.frontend.gnss import align_track
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.mapping.newest_state import NewestState
 from incremental_mapper.measurements import NANOSECONDS, GnssFix, Measurement
-from incremental_mapper.results.offline_run import effective_config
+from incremental_mapper.results.opened_drive import effective_config
 from incremental_mapper.settings import merge, read_yaml
 from incremental_mapper.trajectory import Trajectory, from_matrices, match_truth
 

@@ -24,7 +24,7 @@ from incremental_mapper.config import Config, MomSettings
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.datasets.source import Source
 from incremental_mapper.mapping.mapper import Mapper
-from incremental_mapper.results.offline_run import effective_config
+from incremental_mapper.results.opened_drive import effective_config
 from incremental_mapper.scoring.mom import LocalMap, choose_query_points, direct_score, fast_scores
 from incremental_mapper.selection import window_problem
 from incremental_mapper.selection.local_map import LocalMapBuilder

@@ -14,7 +14,8 @@ import numpy as np
 
 from incremental_mapper.mapping.result import WindowResult
 from incremental_mapper.measurements import NANOSECONDS
-from incremental_mapper.results.offline_run import map_source, open_drive
+from incremental_mapper.results.offline_run import map_source
+from incremental_mapper.results.opened_drive import open_drive
 from incremental_mapper.settings import read_yaml
 from incremental_mapper.trajectory import Trajectory
 

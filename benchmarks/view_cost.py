@@ -17,7 +17,8 @@ from pathlib import Path
 from incremental_mapper.config import Config
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.mapping.result import WindowResult
-from incremental_mapper.results.offline_run import map_into, open_drive
+from incremental_mapper.results.offline_run import map_into
+from incremental_mapper.results.opened_drive import open_drive
 from incremental_mapper.results.run_view import RunView, run_view
 from incremental_mapper.settings import merge, read_yaml
 

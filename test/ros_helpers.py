@@ -32,7 +32,8 @@ from incremental_mapper.datasets.open import open_source
 from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.results.graph_json import compare_graphs, graph_tree
 from incremental_mapper.results.messages.result_messages import read_status
-from incremental_mapper.results.offline_run import effective_config, map_source
+from incremental_mapper.results.offline_run import map_source
+from incremental_mapper.results.opened_drive import effective_config
 from incremental_mapper.results.run_folder import FinishedRun
 from incremental_mapper.ros.node import MapperNode
 from incremental_mapper.ros.programs import free_domain

@@ -96,7 +96,7 @@ def test_drive_finds_everything_compiled(light_drive):
     program = f"""
         from pathlib import Path
         from incremental_mapper.datasets.open import open_source
-        from incremental_mapper.results.offline_run import effective_config
+        from incremental_mapper.results.opened_drive import effective_config
         from incremental_mapper.mapping.mapper import Mapper
         source = open_source(Path({str(light_drive)!r}))
         config = effective_config(source, {{'odometry': {{'processes': False}}}}, 'settings')

@@ -20,7 +20,8 @@ from incremental_mapper.datasets.open import open_source
 from incremental_mapper.errors import InputError
 from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.results.graph_json import compare_graphs, graph_tree
-from incremental_mapper.results.offline_run import effective_config, map_source
+from incremental_mapper.results.offline_run import map_source
+from incremental_mapper.results.opened_drive import effective_config
 from incremental_mapper.results.run_folder import FinishedRun
 from incremental_mapper.results.trajectory_errors import trajectory_errors
 from incremental_mapper.ros.client import Heard

@@ -26,7 +26,7 @@ from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.mapping.odometry_frame import OdometryFrame
 from incremental_mapper.mapping.result import MapResult
 from incremental_mapper.measurements import NANOSECONDS, GnssFix, Measurement
-from incremental_mapper.results.offline_run import effective_config
+from incremental_mapper.results.opened_drive import effective_config
 from incremental_mapper.results.trajectory_errors import trajectory_errors
 from incremental_mapper.ros.publishers import reliable
 from incremental_mapper.settings import merge, read_yaml

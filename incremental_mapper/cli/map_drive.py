@@ -100,7 +100,8 @@ def run(args: argparse.Namespace) -> int:
     from incremental_mapper.cli.findings_text import print_findings
     from incremental_mapper.cli.progress import Progress
     from incremental_mapper.evaluation.report.report_process import ReportProcess
-    from incremental_mapper.results.offline_run import Stop, map_into, open_drive
+    from incremental_mapper.results.offline_run import Stop, map_into
+    from incremental_mapper.results.opened_drive import open_drive
     from incremental_mapper.results.run_folder import prepare_folder
     from incremental_mapper.results.summary import brief, summary
 

@@ -50,7 +50,7 @@ from incremental_mapper.measurements import (
     make_scan,
 )
 from incremental_mapper.results.lidar_shape import lidar_shape
-from incremental_mapper.results.offline_run import effective_config
+from incremental_mapper.results.opened_drive import effective_config
 from incremental_mapper.settings import make_config, merge, read_yaml, to_tree
 
 INPUTS = 'EVALIO_MAPPER_INPUTS'

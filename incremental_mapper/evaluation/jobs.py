@@ -10,7 +10,8 @@ from incremental_mapper.config import Tree
 from incremental_mapper.errors import MapperError, OutputError
 from incremental_mapper.evaluation import cache
 from incremental_mapper.evaluation.workers import stop_of_this_process
-from incremental_mapper.results.offline_run import map_into, open_drive
+from incremental_mapper.results.offline_run import map_into
+from incremental_mapper.results.opened_drive import open_drive
 from incremental_mapper.results.run_folder import prepare_folder
 from incremental_mapper.selection.strategies import labelled
 from incremental_mapper.settings import merge

@@ -3,7 +3,6 @@
 ``open_drive`` and ``map_into`` are what ``map`` does once and ``evaluate`` many times.
 """
 
-import gc
 import signal
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -16,10 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from incremental_mapper.checks.finding import Finding
-from incremental_mapper.checks.fix_shape import without_consequences
-from incremental_mapper.config import Config, Tree
-from incremental_mapper.datasets.open import open_source, read_truth
+from incremental_mapper.config import Config
 from incremental_mapper.datasets.source import Source
 from incremental_mapper.errors import InputError, OutputError
 from incremental_mapper.exports.formats import check_formats
@@ -29,6 +25,8 @@ from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.mapping.result import MapResult, WindowResult
 from incremental_mapper.results.candidate_table import FILE_NAME, candidate_recorder
 from incremental_mapper.results.journal.journal_writer import Journal
+from incremental_mapper.results.mending import MendError, mending
+from incremental_mapper.results.opened_drive import Drive, open_drive
 from incremental_mapper.results.run_folder import (
     draw_result,
     is_whole,
@@ -36,41 +34,12 @@ from incremental_mapper.results.run_folder import (
     write_result,
 )
 from incremental_mapper.results.run_statistics import InputFacts, RunStatistics
-from incremental_mapper.results.sessions.going_on import EarlierMap, earlier_map, whole
-from incremental_mapper.results.survey import BRIEF, survey
+from incremental_mapper.results.sessions.going_on import EarlierMap, whole
 from incremental_mapper.results.trajectory_errors import trajectory_errors
 from incremental_mapper.results.watching import RunWatcher, Watch
-from incremental_mapper.settings import make_config, merge, read_yaml
+from incremental_mapper.settings import merge, read_yaml
 from incremental_mapper.trajectory import Trajectory
 from incremental_mapper.visualization.extras import left_out
-
-UNRELATED = {'selection', 'save', 'journal', 'session', 'datum'}
-"""Sections of settings that say nothing of the sensors: with these alone a look still chooses."""
-MOST_MENDS = 3
-"""How often a run begins anew with settings that its data proved right."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Drive:
-    """An opened input, its effective settings and its truth, if there is one.
-
-    ``tree`` are the user's settings and what was mended since, ``where`` is where they come from.
-    ``mended`` is what the data have proved wrong so far, and ``config`` puts right. ``notes`` are
-    remarks on the settings. ``earlier`` is the map that it goes on with, if any.
-    """
-
-    source: Source
-    config: Config
-    truth: Trajectory | None
-    tree: Tree
-    where: str
-    mended: tuple[Finding, ...] = ()
-    notes: tuple[str, ...] = ()
-    earlier: EarlierMap | None = None
-
-    def all_notes(self) -> tuple[str, ...]:
-        """Remarks on how the input was understood, and on the settings it is mapped with."""
-        return (*self.source.info.notes, *self.notes)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,14 +65,6 @@ def _nobody(_what: str) -> None:
     """Is told what comes next where nobody wants to know."""
 
 
-class MendError(Exception):
-    """Ends a run whose data proved a setting wrong: it begins anew with those of ``findings``."""
-
-    def __init__(self, findings: Sequence[Finding]) -> None:
-        super().__init__('the data prove a setting wrong')
-        self.findings = tuple(findings)
-
-
 class Stop:
     """Turns the first Ctrl-C into a wish to stop; a second one interrupts as usual."""
 
@@ -127,67 +88,6 @@ class Stop:
         if self.wanted:
             raise KeyboardInterrupt
         self.wanted = True
-
-
-def open_drive(path: Path, tree: Tree, where: str, truth: Path | None = None) -> Drive:
-    """Open an input with the user's settings; without any, a look at it chooses them.
-
-    Args:
-        path: KAIST folder, bag, or folder of scans.
-        tree: The user's settings; they are laid over those that the input brings itself.
-        where: Where the settings come from, for messages.
-        truth: A file of true poses that replaces the truth in the input.
-
-    Raises:
-        MapperError: The input, the settings or the truth cannot be used.
-    """
-    # Settings that are wrong by themselves are told before any reading.
-    given = make_config(tree, where)
-    earlier = earlier_map(given.session.folder, given.map)
-    if earlier is not None:
-        tree = merge(tree, earlier.settings)
-    source = open_source(path, tree)
-    config = effective_config(source, tree, where)
-    known = source.truth() if truth is None else read_truth(truth)
-    drive = Drive(source, config, known, tree, where, earlier=earlier)
-    return drive if tree.keys() - UNRELATED else _looked_at(drive)
-
-
-def _looked_at(drive: Drive) -> Drive:
-    """A drive without settings, with those that a look at it proposes."""
-    seen = survey(drive.source, drive.config, BRIEF, match=False)
-    proposed = seen.settings()
-    if not proposed:
-        return drive
-    tree = merge(proposed, drive.tree)
-    # What changes how sensors are read counts from the opening on.
-    reopen = bool(proposed.keys() & {'lidars', 'imu', 'gnss'})
-    source = open_source(drive.source.info.path, tree) if reopen else drive.source
-    config = effective_config(source, tree, drive.where)
-    said = ', '.join(choice.text for choice in seen.start)
-    files = ' and '.join(dict.fromkeys(choice.file for choice in seen.start))
-    note = (
-        f'no settings are given; a look at the sensors chose {said}, as in {files} '
-        f'("incremental_mapper check {drive.source.info.path}" says why)'
-    )
-    notes = (note,) if seen.start else ()
-    return replace(
-        drive, source=source, config=config, tree=tree, mended=seen.mended(), notes=notes
-    )
-
-
-def effective_config(source: Source, tree: Mapping[str, Any], where: str) -> Config:
-    """The settings of a run: the user's laid over those that the input brings itself.
-
-    Args:
-        source: An opened input.
-        tree: The user's settings.
-        where: Where they come from, for messages.
-
-    Raises:
-        ConfigError: A setting is unknown or has a value that it cannot have.
-    """
-    return make_config(merge(source.info.settings, tree), where)
 
 
 def map_into(
@@ -236,7 +136,7 @@ def map_into(
         journals.extend([] if journal is None else [journal])
         return run
 
-    run = _mending(drive, attempt)
+    run = mending(drive, attempt)
     stage('write')
     try:
         write_result(folder, run.result, run.map, run.statistics.to_tree())
@@ -293,7 +193,7 @@ def map_drive(
     where = str(config) if named else 'settings'
     drive = open_drive(Path(path), tree, where, None if truth is None else Path(truth))
     if out is None:
-        return _mending(drive, lambda drive, may_mend: _map_once(drive, may_mend=may_mend))
+        return mending(drive, lambda drive, may_mend: _map_once(drive, may_mend=may_mend))
     prepare_folder(Path(out), force)
     return map_into(Path(out), drive)[0]
 
@@ -325,48 +225,6 @@ def map_source(
     """
     drive = Drive(source, config, truth, {}, '')
     return _map_once(drive, progress, stop, observe)
-
-
-def _mending(drive: Drive, attempt: Callable[[Drive, bool], Run]) -> Run:
-    """Map a drive, and begin anew where the data prove a setting wrong."""
-    begun, found = drive, list[Finding]()
-    for _ in range(MOST_MENDS):
-        try:
-            run = attempt(drive, True)
-        except MendError as mend:
-            # With one LiDAR's pose in the settings the others are not looked for any more.
-            left = [one for one in drive.source.info.findings if one.rule == 'lidar_left_out']
-            found = [*without_consequences(found, mend.findings), *left, *mend.findings]
-        else:
-            better = _better_known(found, run.result.findings)
-            if not better:
-                return run
-            found = [one for one in found if one.rule not in {new.rule for new in better}]
-            found += better
-        drive = _mended(begun, found)
-        # The map so far hangs on the frames that raised: without this the next one comes on top.
-        gc.collect()
-    return attempt(drive, False)
-
-
-def _mended(begun: Drive, found: Sequence[Finding]) -> Drive:
-    """A drive with what the data have proved."""
-    tree = begun.tree
-    for finding in found:
-        tree = merge(tree, finding.settings if finding.changes else {})
-    source = open_source(begun.source.info.path, tree)
-    config = effective_config(source, tree, begun.where)
-    return replace(begun, source=source, config=config, tree=tree, mended=(*begun.mended, *found))
-
-
-def _better_known(before: Sequence[Finding], now: Sequence[Finding]) -> list[Finding]:
-    """What a whole drive proposes for settings that went by its beginning: it is in force then."""
-    early = {(one.rule, one.sensor) for one in before if one.changes}
-    return [
-        replace(one, in_force=True)
-        for one in now
-        if one.settings and not one.changes and (one.rule, one.sensor) in early
-    ]
 
 
 @contextmanager

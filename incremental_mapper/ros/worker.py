@@ -14,7 +14,7 @@ from incremental_mapper.datasets.sensor_settings import with_settings
 from incremental_mapper.errors import MapperError
 from incremental_mapper.garbage import set_aside
 from incremental_mapper.measurements import Drops, LidarScan, Measurement
-from incremental_mapper.results.offline_run import MOST_MENDS
+from incremental_mapper.results.mending import MOST_MENDS
 from incremental_mapper.results.sessions.going_on import earlier_map
 from incremental_mapper.ros.beginning import Beginning
 from incremental_mapper.ros.clock_steps import step_findings

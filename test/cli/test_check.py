@@ -11,7 +11,7 @@ from drive_edits import keep_stamps
 from incremental_mapper.cli.main import main
 from incremental_mapper.datasets.bag_settings import SETTINGS_FILE
 from incremental_mapper.datasets.open import open_source
-from incremental_mapper.results.offline_run import effective_config
+from incremental_mapper.results.opened_drive import effective_config
 from incremental_mapper.settings import load_config, to_tree
 
 

@@ -12,7 +12,8 @@ import pytest
 from incremental_mapper.cli import exit_status
 from incremental_mapper.cli.main import main
 from incremental_mapper.datasets.open import open_source
-from incremental_mapper.results.offline_run import Stop, effective_config, map_source
+from incremental_mapper.results.offline_run import Stop, map_source
+from incremental_mapper.results.opened_drive import effective_config
 from incremental_mapper.trajectory import read_tum
 
 COMMAND = [sys.executable, '-m', 'incremental_mapper.cli.main']

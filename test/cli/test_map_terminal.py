@@ -8,7 +8,8 @@ import pytest
 from incremental_mapper.cli import map_drive
 from incremental_mapper.cli.main import main
 from incremental_mapper.cli.progress import Progress
-from incremental_mapper.results.offline_run import map_into, open_drive
+from incremental_mapper.results.offline_run import map_into
+from incremental_mapper.results.opened_drive import open_drive
 from incremental_mapper.selection.strategies import BUILT_IN
 
 

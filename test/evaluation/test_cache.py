@@ -139,7 +139,8 @@ def test_everything_that_a_run_loads_counts(light_drive, tmp_path):
     """Whatever module maps a drive and writes its files is in a room that counts, or draws."""
     script = (
         'import sys\n'
-        'from incremental_mapper.results.offline_run import map_into, open_drive\n'
+        'from incremental_mapper.results.offline_run import map_into\n'
+        'from incremental_mapper.results.opened_drive import open_drive\n'
         'from pathlib import Path\n'
         "tree = {'selection': {'strategy': 'base'}, 'odometry': {'processes': False}}\n"
         "map_into(Path(sys.argv[2]), open_drive(Path(sys.argv[1]), tree, 'test'))\n"

@@ -14,7 +14,8 @@ from incremental_mapper.errors import MeasurementError
 from incremental_mapper.frontend.odometry_process import LocalStation, ProcessStation
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.measurements import LidarScan
-from incremental_mapper.results.offline_run import effective_config, map_source
+from incremental_mapper.results.offline_run import map_source
+from incremental_mapper.results.opened_drive import effective_config
 from incremental_mapper.settings import merge
 
 BASE = {'selection': {'strategy': 'min_time_shift'}, 'odometry': {'method': 'gicp'}}

@@ -11,7 +11,7 @@ from incremental_mapper.mapping import live_map
 from incremental_mapper.mapping.georeferencing import turn_values
 from incremental_mapper.mapping.live_map import LiveMap
 from incremental_mapper.mapping.mapper import Mapper
-from incremental_mapper.results.offline_run import effective_config
+from incremental_mapper.results.opened_drive import effective_config
 from incremental_mapper.smoothing.correction import Evidence
 from incremental_mapper.variables import cluster_of
 

@@ -3,7 +3,7 @@
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.mapping.load_shedding import LoadShedding
 from incremental_mapper.mapping.mapper import Mapper
-from incremental_mapper.results.offline_run import effective_config
+from incremental_mapper.results.opened_drive import effective_config
 
 
 def test_merged_windows_and_small_budgets_keep_the_graph_whole(light_drive):

@@ -12,7 +12,7 @@ from incremental_mapper.frontend.imu_preintegration import EMPTY_SERIES
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.mapping.newest_state import newest_state
 from incremental_mapper.measurements import ImuSample
-from incremental_mapper.results.offline_run import effective_config
+from incremental_mapper.results.opened_drive import effective_config
 from incremental_mapper.smoothing.graph_state import GraphState
 
 SERIES = imu_series(-20 * MS, 20 * MS)

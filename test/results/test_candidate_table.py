@@ -17,7 +17,8 @@ from incremental_mapper.results.candidate_table import (
     candidate_rows,
     read_window,
 )
-from incremental_mapper.results.offline_run import effective_config, map_source
+from incremental_mapper.results.offline_run import map_source
+from incremental_mapper.results.opened_drive import effective_config
 from incremental_mapper.settings import make_config
 
 parquet = pytest.importorskip('pyarrow.parquet', reason='pyarrow is not installed (extra "report")')

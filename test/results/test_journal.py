@@ -24,7 +24,7 @@ from incremental_mapper.results.journal.journal_writer import WINDOW, Journal
 from incremental_mapper.results.journal.record_file import Record, content, frame, records, title
 from incremental_mapper.results.journal.recovered_folder import recover_journal
 from incremental_mapper.results.journal.recovery import find_journals, opened, recover
-from incremental_mapper.results.offline_run import effective_config
+from incremental_mapper.results.opened_drive import effective_config
 from incremental_mapper.results.run_folder import FILES, FinishedRun
 from incremental_mapper.results.run_statistics import InputFacts
 from incremental_mapper.settings import merge

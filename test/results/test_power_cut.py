@@ -15,7 +15,7 @@ from pathlib import Path
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.results.journal.journal_writer import Journal
-from incremental_mapper.results.offline_run import effective_config
+from incremental_mapper.results.opened_drive import effective_config
 from incremental_mapper.results.run_statistics import InputFacts
 
 drive, folder = map(Path, sys.argv[1:])

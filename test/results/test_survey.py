@@ -13,7 +13,7 @@ from incremental_mapper.datasets.open import open_source
 from incremental_mapper.geometry import pose_matrix
 from incremental_mapper.measurements import make_scan
 from incremental_mapper.results.lidar_shape import LidarShape, lidar_shape
-from incremental_mapper.results.offline_run import open_drive
+from incremental_mapper.results.opened_drive import open_drive
 from incremental_mapper.results.starting_point import starting_point
 from incremental_mapper.results.survey import BRIEF, THOROUGH, look_at, survey
 from incremental_mapper.settings import merge, read_yaml

@@ -9,7 +9,7 @@ import incremental_mapper.mapping.mapper as mapper_module
 from incremental_mapper.candidates.enumeration import candidates
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.mapping.mapper import Mapper
-from incremental_mapper.results.offline_run import effective_config
+from incremental_mapper.results.opened_drive import effective_config
 from incremental_mapper.scoring.criteria import SOLVER_ERROR
 from incremental_mapper.selection.beam_search import beam_search
 from incremental_mapper.selection.strategies import find_strategy
