@@ -52,6 +52,7 @@ from lies import (  # noqa: F401
     hardware,
     inertial,
     leaps,
+    mixtures,
     pulls,
     sensors,
     surprises,
