@@ -1,6 +1,6 @@
 """Mapping a whole input offline: the same mapper as online, as fast as it goes.
 
-``open_drive`` and ``map_into`` are what ``map`` does once and ``evaluate`` many times.
+``map_into`` is what ``map`` does once and ``evaluate`` many times.
 """
 
 import signal
