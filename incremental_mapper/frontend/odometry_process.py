@@ -10,6 +10,7 @@ import subprocess
 import sys
 from collections import Counter
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from typing import Any, BinaryIO, Protocol
 
 from incremental_mapper.config import Config
@@ -20,6 +21,9 @@ from incremental_mapper.measurements import LidarScan
 
 _SINGLE = {name: '1' for name in ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS')}
 """The processes share the cores among themselves; their libraries' threads would only compete."""
+
+ENDED = (EOFError, OSError, pickle.UnpicklingError)
+"""What is raised where the other end of a stream is gone, before or within a message."""
 
 
 class ScanStation(Protocol):
@@ -103,7 +107,7 @@ class ProcessStation:
             self._send((scan, imu))
             try:
                 result, notes = pickle.load(self._process.stdout)
-            except (EOFError, OSError, pickle.UnpicklingError):
+            except ENDED:
                 self._notes[f'{self._name}: its process ended, scans are prepared here'] += 1
                 self._here = ScanPreparer(self._name, self._config, self._notes)
             else:
@@ -115,15 +119,20 @@ class ProcessStation:
 
 
 def serve(requests: BinaryIO, answers: BinaryIO) -> None:
-    """Read name and settings, then scans with samples; answer each with a result and new notes."""
+    """Read name and settings, then scans with samples; answer each with a result and new notes.
+
+    It ends where the streams do, wherever in a message that is: whoever asks may have been killed.
+    """
+    with suppress(*ENDED):
+        _answer(requests, answers)
+
+
+def _answer(requests: BinaryIO, answers: BinaryIO) -> None:
     name, config = pickle.load(requests)
     notes: Counter[str] = Counter()
     preparer = ScanPreparer(name, config, notes)
     while True:
-        try:
-            scan, imu = pickle.load(requests)
-        except EOFError:
-            return
+        scan, imu = pickle.load(requests)
         try:
             result: object = preparer.prepare(scan, imu)
         except MeasurementError as error:

@@ -1,7 +1,10 @@
 """Scans prepared in processes of their own come out as if they had been prepared here."""
 
 import os
+import pickle
 import signal
+import subprocess
+import sys
 from collections import Counter
 from contextlib import closing
 from pathlib import Path
@@ -11,6 +14,7 @@ import pytest
 
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.errors import MeasurementError
+from incremental_mapper.frontend.imu_preintegration import EMPTY_SERIES
 from incremental_mapper.frontend.odometry_process import LocalStation, ProcessStation
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.measurements import LidarScan
@@ -104,6 +108,22 @@ def test_processes_end_with_the_mapper(opened):
     assert len(workers()) == 2
     mapper.close()
     assert workers() == []
+
+
+@pytest.mark.parametrize('share', [0.0, 0.01, 0.5, 0.99])
+def test_a_process_whose_mapper_was_killed_ends_quietly(opened, share):
+    """Killed while it wrote: the pipe ends anywhere in a message."""
+    _, config = opened(True)
+    scan = LidarScan(0, 'left', np.ones((5000, 3), dtype=np.float32))
+    first, second = pickle.dumps(('left', config)), pickle.dumps((scan, EMPTY_SERIES))
+    done = subprocess.run(
+        [sys.executable, '-m', 'incremental_mapper.frontend.odometry_process'],
+        input=first + second[: round(share * len(second))],
+        capture_output=True,
+        timeout=60,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, b'')
 
 
 def workers():
