@@ -26,12 +26,12 @@ from shutil import rmtree
 import numpy as np
 
 from incremental_mapper.mapping.mapper import Mapper
+from incremental_mapper.results.finished_run import FinishedRun
 from incremental_mapper.results.graph_json import graph_tree
 from incremental_mapper.results.journal.journal_writer import Journal
 from incremental_mapper.results.journal.recovery import opened, recover
 from incremental_mapper.results.manifest import require_whole
 from incremental_mapper.results.opened_drive import open_drive
-from incremental_mapper.results.run_folder import FinishedRun
 from incremental_mapper.results.run_statistics import InputFacts
 
 PROGRAM = [sys.executable, '-m', 'incremental_mapper.cli.main']

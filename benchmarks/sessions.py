@@ -23,8 +23,8 @@ from incremental_mapper.datasets.truth import read_truth
 from incremental_mapper.graph.factors import FactorKind
 from incremental_mapper.map.store import MemoryStore
 from incremental_mapper.measurements import NANOSECONDS
+from incremental_mapper.results.finished_run import FinishedRun
 from incremental_mapper.results.offline_run import map_drive
-from incremental_mapper.results.run_folder import FinishedRun
 from incremental_mapper.results.sessions.saved_run import read_saved_run
 from incremental_mapper.settings import merge, read_yaml
 from incremental_mapper.trajectory import Trajectory, fit_rigid, match_truth

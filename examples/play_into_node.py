@@ -23,8 +23,8 @@ from sensor_msgs.msg import PointCloud2
 from incremental_mapper.datasets.bag_settings import SETTINGS_FILE
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.errors import InputError, MapperError
+from incremental_mapper.results.finished_run import FinishedRun
 from incremental_mapper.results.graph_json import TOLERANCE, compare_graphs
-from incremental_mapper.results.run_folder import FinishedRun
 from incremental_mapper.ros.client import Heard, NodeClient, open_client
 from incremental_mapper.ros.programs import (
     free_domain,

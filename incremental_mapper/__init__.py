@@ -39,8 +39,8 @@ if TYPE_CHECKING:
         make_imu,
         make_scan,
     )
+    from incremental_mapper.results.finished_run import FinishedRun
     from incremental_mapper.results.offline_run import Run, map_drive, map_source
-    from incremental_mapper.results.run_folder import FinishedRun
     from incremental_mapper.results.trajectory_errors import TrajectoryErrors, trajectory_errors
     from incremental_mapper.scoring.criteria import Criterion, Proposal
     from incremental_mapper.selection.choice import Choice, Tried
@@ -76,7 +76,7 @@ _ROOMS = {
         'make_scan',
     ),
     'results.offline_run': ('Run', 'map_drive', 'map_source'),
-    'results.run_folder': ('FinishedRun',),
+    'results.finished_run': ('FinishedRun',),
     'results.trajectory_errors': ('TrajectoryErrors', 'trajectory_errors'),
     'scoring.criteria': ('Criterion', 'Proposal'),
     'selection.choice': ('Choice', 'Tried'),

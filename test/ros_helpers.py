@@ -30,11 +30,11 @@ from visualization_msgs.msg import MarkerArray
 from incremental_mapper.datasets.bag_settings import SETTINGS_FILE
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.measurements import NANOSECONDS
+from incremental_mapper.results.finished_run import FinishedRun
 from incremental_mapper.results.graph_json import compare_graphs, graph_tree
 from incremental_mapper.results.messages.result_messages import read_status
 from incremental_mapper.results.offline_run import map_source
 from incremental_mapper.results.opened_drive import effective_config
-from incremental_mapper.results.run_folder import FinishedRun
 from incremental_mapper.ros.node import MapperNode
 from incremental_mapper.ros.programs import free_domain
 from incremental_mapper.settings import merge, read_yaml

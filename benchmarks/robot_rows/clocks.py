@@ -19,10 +19,10 @@ from incremental_mapper.datasets.bag_files import open_bag
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.errors import InputError
 from incremental_mapper.measurements import NANOSECONDS
+from incremental_mapper.results.finished_run import FinishedRun
 from incremental_mapper.results.graph_json import compare_graphs, graph_tree
 from incremental_mapper.results.offline_run import map_source
 from incremental_mapper.results.opened_drive import effective_config
-from incremental_mapper.results.run_folder import FinishedRun
 from incremental_mapper.results.trajectory_errors import trajectory_errors
 from incremental_mapper.ros.client import Heard
 from incremental_mapper.ros.publishers import reliable

@@ -26,7 +26,8 @@ from incremental_mapper.datasets.simulated.folder import simulate
 from incremental_mapper.datasets.simulated.options import MotionKind, SimulationOptions
 from incremental_mapper.errors import InputError
 from incremental_mapper.measurements import NANOSECONDS
-from incremental_mapper.results.run_folder import FILES, FinishedRun
+from incremental_mapper.results.file_names import FILES
+from incremental_mapper.results.finished_run import FinishedRun
 from incremental_mapper.ros.client import Heard, NodeClient, open_client
 from incremental_mapper.ros.programs import (
     free_domain,

@@ -7,7 +7,8 @@ from typing import Any
 
 from incremental_mapper.errors import ConfigError, OutputError
 from incremental_mapper.exports.formats import Content, export, find_format, formats
-from incremental_mapper.results.run_folder import FILES, FinishedRun
+from incremental_mapper.results.file_names import FILES
+from incremental_mapper.results.finished_run import FinishedRun
 
 
 def add_parser(subparsers: Any) -> None:

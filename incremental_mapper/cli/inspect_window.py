@@ -12,7 +12,7 @@ from typing import Any
 
 from incremental_mapper.errors import ConfigError
 from incremental_mapper.evaluation.inspection import Inspection, Row, inspect_window, window_at
-from incremental_mapper.results.run_folder import FinishedRun
+from incremental_mapper.results.finished_run import FinishedRun
 
 WIDTH = 100
 """Columns of a terminal that the text is laid out for."""

@@ -7,7 +7,7 @@ from typing import Any
 
 from incremental_mapper.datasets.open import read_truth
 from incremental_mapper.errors import ConfigError
-from incremental_mapper.results.run_folder import FinishedRun
+from incremental_mapper.results.finished_run import FinishedRun
 from incremental_mapper.visualization.figure import THEMES, WHOLE, check_suffix
 from incremental_mapper.visualization.graph_picture import draw_graph
 from incremental_mapper.visualization.graph_view import closure_ends

@@ -37,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
     """Carry out the command; returns the exit status."""
     if (args.out_dir is None) == (args.node is None):
         raise ConfigError('view: name either the folder of a run, or a node by --node')
-    from incremental_mapper.results.run_folder import FinishedRun
+    from incremental_mapper.results.finished_run import FinishedRun
     from incremental_mapper.results.run_view import show_finished
     from incremental_mapper.visualization.rerun_scene import RerunScene, check_rrd, load_rerun
 

@@ -19,7 +19,7 @@ from typing import Any
 
 import incremental_mapper
 from incremental_mapper.datasets.truth import TRUTH_FILES
-from incremental_mapper.results.run_folder import FILES
+from incremental_mapper.results.file_names import FILES
 from incremental_mapper.results.run_statistics import versions
 from incremental_mapper.selection.strategies import BUILT_IN, GROUP
 

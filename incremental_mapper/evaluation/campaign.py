@@ -24,7 +24,7 @@ from incremental_mapper.evaluation.record import (
 from incremental_mapper.evaluation.segments import Motion, segment_by_motion
 from incremental_mapper.evaluation.table import BASE, motion_title
 from incremental_mapper.evaluation.workers import Workers
-from incremental_mapper.results.run_folder import FinishedRun
+from incremental_mapper.results.finished_run import FinishedRun
 from incremental_mapper.trajectory import Trajectory
 
 CUT_BY = ('mom', BASE)

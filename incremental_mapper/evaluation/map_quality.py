@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from incremental_mapper.config import MomSettings
 from incremental_mapper.evaluation import cache
 from incremental_mapper.geometry import transform_points
-from incremental_mapper.results.run_folder import FinishedRun
+from incremental_mapper.results.finished_run import FinishedRun
 from incremental_mapper.scoring.eigen import smallest_eigen
 from incremental_mapper.scoring.moments import COUNT, covariances
 from incremental_mapper.scoring.neighbourhoods import moments_around

@@ -18,7 +18,7 @@ from incremental_mapper.checks.finding import Severity
 from incremental_mapper.evaluation.segments import Motion, Segment, segment_indices
 from incremental_mapper.geometry import transform_points
 from incremental_mapper.measurements import NANOSECONDS
-from incremental_mapper.results.run_folder import FinishedRun
+from incremental_mapper.results.finished_run import FinishedRun
 from incremental_mapper.results.trajectory_errors import (
     consecutive_pairs,
     pairs_apart,

@@ -43,7 +43,7 @@ from incremental_mapper.evaluation.jobs import Job, Outcome, Status
 from incremental_mapper.evaluation.metrics import Metrics
 from incremental_mapper.evaluation.segments import Motion, Segment, motion_of_name
 from incremental_mapper.evaluation.table import BASE, ROWS, Entry
-from incremental_mapper.results.run_folder import FinishedRun
+from incremental_mapper.results.finished_run import FinishedRun
 from incremental_mapper.trajectory import Trajectory, read_tum
 
 RECORD_FILE = 'evaluation.json'

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from incremental_mapper.errors import MapperError, OutputError
-from incremental_mapper.results.run_folder import FinishedRun
+from incremental_mapper.results.finished_run import FinishedRun
 from incremental_mapper.visualization.extras import left_out
 from incremental_mapper.visualization.run_pictures import draw_run
 

@@ -18,7 +18,7 @@ from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.mapping.result import MapResult, WindowResult
 from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.results.candidate_table import members_text
-from incremental_mapper.results.run_folder import FinishedRun
+from incremental_mapper.results.finished_run import FinishedRun
 from incremental_mapper.selection.choice import Tried
 from incremental_mapper.smoothing.graph_state import GraphState, PlacedScan
 from incremental_mapper.trajectory import Trajectory

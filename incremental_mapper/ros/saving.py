@@ -16,15 +16,11 @@ from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.measurements import Drops
 from incremental_mapper.results.candidate_spool import CandidateSpool
 from incremental_mapper.results.candidate_table import FILE_NAME, candidate_recorder
+from incremental_mapper.results.file_names import GRAPH, STATISTICS, TRAJECTORY
+from incremental_mapper.results.finished_run import FinishedRun
 from incremental_mapper.results.journal.journal_writer import Journal
 from incremental_mapper.results.new_folder import free_name, hidden_folder, sync_folder
-from incremental_mapper.results.run_folder import (
-    GRAPH,
-    STATISTICS,
-    TRAJECTORY,
-    FinishedRun,
-    write_result,
-)
+from incremental_mapper.results.run_folder import write_result
 from incremental_mapper.results.run_statistics import InputFacts, RunStatistics
 from incremental_mapper.results.sessions.going_on import EarlierMap, whole
 

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from incremental_mapper.cli.main import main
-from incremental_mapper.results.run_folder import FinishedRun, prepare_folder
+from incremental_mapper.results.finished_run import FinishedRun
+from incremental_mapper.results.run_folder import prepare_folder
 
 FORMATS = ('pcd', 'csv', 'kitti', 'kml', 'geojson')
 

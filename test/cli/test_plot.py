@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from incremental_mapper.cli.main import main
-from incremental_mapper.results.run_folder import FinishedRun
+from incremental_mapper.results.finished_run import FinishedRun
 from incremental_mapper.trajectory import write_tum
 
 REASON = 'matplotlib is not installed; pictures need the extra "report"'

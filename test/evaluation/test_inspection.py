@@ -8,7 +8,7 @@ import pytest
 
 from incremental_mapper.cli.main import main
 from incremental_mapper.evaluation.inspection import inspect_window, why
-from incremental_mapper.results.run_folder import FinishedRun
+from incremental_mapper.results.finished_run import FinishedRun
 
 pytest.importorskip('pyarrow', reason='pyarrow is not installed (extra "report")')
 

@@ -9,7 +9,7 @@ import pytest
 from incremental_mapper.evaluation.metrics import motion_metrics
 from incremental_mapper.evaluation.segments import Motion, Segment
 from incremental_mapper.measurements import NANOSECONDS
-from incremental_mapper.results.run_folder import FinishedRun
+from incremental_mapper.results.finished_run import FinishedRun
 from incremental_mapper.trajectory import Trajectory, write_tum
 
 START = 1_544_590_798_000_000_000

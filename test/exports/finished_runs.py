@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from incremental_mapper.map.ply import MapCloud, ScanTable, write_ply, write_scans
 from incremental_mapper.measurements import NANOSECONDS
-from incremental_mapper.results.run_folder import FinishedRun
+from incremental_mapper.results.finished_run import FinishedRun
 from incremental_mapper.trajectory import Trajectory, write_tum
 
 START = 1_544_590_798_000_000_000

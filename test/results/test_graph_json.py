@@ -6,8 +6,8 @@ import json
 import pytest
 
 from incremental_mapper.errors import InputError
+from incremental_mapper.results.finished_run import FinishedRun
 from incremental_mapper.results.graph_json import compare_graphs
-from incremental_mapper.results.run_folder import FinishedRun
 
 
 @pytest.fixture(scope='module')

@@ -19,13 +19,14 @@ from incremental_mapper.graph.factors import FactorKind
 from incremental_mapper.mapping.georeferencing import without_fixes
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.results import offline_run
+from incremental_mapper.results.file_names import FILES
+from incremental_mapper.results.finished_run import FinishedRun
 from incremental_mapper.results.graph_json import graph_tree
 from incremental_mapper.results.journal.journal_writer import WINDOW, Journal
 from incremental_mapper.results.journal.record_file import Record, content, frame, records, title
 from incremental_mapper.results.journal.recovered_folder import recover_journal
 from incremental_mapper.results.journal.recovery import find_journals, opened, recover
 from incremental_mapper.results.opened_drive import effective_config
-from incremental_mapper.results.run_folder import FILES, FinishedRun
 from incremental_mapper.results.run_statistics import InputFacts
 from incremental_mapper.settings import merge
 

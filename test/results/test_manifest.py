@@ -8,9 +8,9 @@ import pytest
 from incremental_mapper.cli.main import main
 from incremental_mapper.errors import InputError
 from incremental_mapper.map.ply import MapCloud, write_ply
+from incremental_mapper.results.finished_run import FinishedRun
 from incremental_mapper.results.journal.recovery import find_journals
 from incremental_mapper.results.manifest import FILE, FORMAT, Manifest, require_whole
-from incremental_mapper.results.run_folder import FinishedRun
 
 
 @pytest.fixture

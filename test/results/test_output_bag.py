@@ -14,11 +14,12 @@ from scipy.spatial.transform import Rotation
 from incremental_mapper.datasets.point_clouds import cloud_table
 from incremental_mapper.errors import OutputError
 from incremental_mapper.map.ply import MapFile
+from incremental_mapper.results.finished_run import FinishedRun
 from incremental_mapper.results.messages.output_bag import FOLDER, output_bag
 from incremental_mapper.results.messages.result_messages import read_status
 from incremental_mapper.results.offline_run import map_into
 from incremental_mapper.results.opened_drive import open_drive
-from incremental_mapper.results.run_folder import FinishedRun, prepare_folder
+from incremental_mapper.results.run_folder import prepare_folder
 from incremental_mapper.trajectory import read_tum
 
 NODE = '/incremental_mapper'

@@ -3,9 +3,9 @@
 import subprocess
 import sys
 
+from incremental_mapper.results.finished_run import FinishedRun
 from incremental_mapper.results.journal.recovered_folder import recover_journal
 from incremental_mapper.results.manifest import require_whole
-from incremental_mapper.results.run_folder import FinishedRun
 
 # Tells of each window once it is mapped, before it is in the journal.
 CHILD = """

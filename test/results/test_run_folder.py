@@ -7,13 +7,9 @@ import pytest
 from incremental_mapper.errors import InputError, OutputError
 from incremental_mapper.map.ply import MapCloud, write_ply
 from incremental_mapper.mapping.result import MapResult
-from incremental_mapper.results.run_folder import (
-    EXTRA_FILES,
-    FILES,
-    FinishedRun,
-    prepare_folder,
-    write_result,
-)
+from incremental_mapper.results.file_names import EXTRA_FILES, FILES
+from incremental_mapper.results.finished_run import FinishedRun
+from incremental_mapper.results.run_folder import prepare_folder, write_result
 from incremental_mapper.trajectory import Trajectory
 
 RUN = (*FILES, *EXTRA_FILES, 'failed_window_12.npz')

@@ -7,9 +7,9 @@ import pytest
 from scipy.spatial import KDTree
 
 from incremental_mapper.cli.main import main
+from incremental_mapper.results.finished_run import FinishedRun
 from incremental_mapper.results.offline_run import map_into
 from incremental_mapper.results.opened_drive import open_drive
-from incremental_mapper.results.run_folder import FinishedRun
 from incremental_mapper.results.run_view import run_view
 
 chunk = pytest.importorskip('rerun.chunk', reason='rerun-sdk is not installed (extra "view")')

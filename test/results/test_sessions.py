@@ -18,10 +18,10 @@ from incremental_mapper.frontend.gnss import Datum
 from incremental_mapper.graph.factors import FactorKind, closure_factor
 from incremental_mapper.map.store import MemoryStore
 from incremental_mapper.measurements import GnssFix
+from incremental_mapper.results.finished_run import FinishedRun
 from incremental_mapper.results.graph_json import compare_graphs, graph_tree
 from incremental_mapper.results.journal.recovered_folder import recover_journal
 from incremental_mapper.results.manifest import Manifest
-from incremental_mapper.results.run_folder import FinishedRun
 from incremental_mapper.results.run_statistics import InputFacts
 from incremental_mapper.results.sessions.going_on import earlier_map
 from incremental_mapper.results.sessions.joining import between_datums, joined, turned

@@ -14,8 +14,9 @@ from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.results.candidate_spool import CandidateSpool
 from incremental_mapper.results.candidate_table import candidate_rows
 from incremental_mapper.results.draw import main as draw
+from incremental_mapper.results.file_names import FILES
+from incremental_mapper.results.finished_run import FinishedRun
 from incremental_mapper.results.opened_drive import effective_config
-from incremental_mapper.results.run_folder import FILES, FinishedRun
 from incremental_mapper.results.run_statistics import InputFacts
 from incremental_mapper.ros.saving import Snapshot, Target, save_map, write_candidates
 

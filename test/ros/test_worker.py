@@ -19,8 +19,8 @@ from incremental_mapper.errors import InputError
 from incremental_mapper.mapping.following import PoseUpdate
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.mapping.watch import Watch
+from incremental_mapper.results.finished_run import FinishedRun
 from incremental_mapper.results.opened_drive import effective_config
-from incremental_mapper.results.run_folder import FinishedRun
 from incremental_mapper.ros import beginning
 from incremental_mapper.ros import worker as worker_module
 from incremental_mapper.ros.inbox import Command, Order, Renewal, View

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from incremental_mapper.evaluation.table import BASE
 from incremental_mapper.geometry import transform_points
 from incremental_mapper.measurements import NANOSECONDS
-from incremental_mapper.results.run_folder import FinishedRun
+from incremental_mapper.results.finished_run import FinishedRun
 from incremental_mapper.trajectory import Trajectory, fit_rigid, match_truth
 from incremental_mapper.visualization.figure import Look, Theme, box, new_figure, plain
 

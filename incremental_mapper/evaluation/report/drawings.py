@@ -13,7 +13,7 @@ from incremental_mapper.evaluation.report.charts import (
 )
 from incremental_mapper.evaluation.table import BASE, Entry, mean_metrics
 from incremental_mapper.measurements import NANOSECONDS
-from incremental_mapper.results.run_folder import FinishedRun
+from incremental_mapper.results.finished_run import FinishedRun
 from incremental_mapper.trajectory import Trajectory
 from incremental_mapper.visualization.figure import PAGE, Look, css_colour, svg_for_page
 from incremental_mapper.visualization.graph_legend import graph_legend

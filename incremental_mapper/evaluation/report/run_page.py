@@ -18,7 +18,7 @@ from incremental_mapper.evaluation.report.drawings import (
 )
 from incremental_mapper.evaluation.report.rendering import as_yaml, write_page
 from incremental_mapper.evaluation.report.words import Tile
-from incremental_mapper.results.run_folder import FinishedRun
+from incremental_mapper.results.finished_run import FinishedRun
 from incremental_mapper.trajectory import Trajectory
 from incremental_mapper.visualization.figure import PAGE, css_colour
 

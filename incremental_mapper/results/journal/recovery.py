@@ -24,6 +24,7 @@ from incremental_mapper.mapping.loop_closing import close_loops
 from incremental_mapper.mapping.result import MapResult, fixes_in_map, trajectory_of
 from incremental_mapper.mapping.statistics import MapStatistics
 from incremental_mapper.measurements import Drops
+from incremental_mapper.results.file_names import STATISTICS
 from incremental_mapper.results.journal.journal_writer import (
     BEGINNING,
     FAILED,
@@ -41,7 +42,6 @@ from incremental_mapper.results.plain_graph import (
     unpacked,
     values_of,
 )
-from incremental_mapper.results.run_folder import STATISTICS
 from incremental_mapper.results.run_statistics import InputFacts
 from incremental_mapper.selection.window_record import WindowRecord
 from incremental_mapper.settings import make_config

@@ -22,7 +22,7 @@ from incremental_mapper.map.ply import MapCloud
 from incremental_mapper.map.store import make_store
 from incremental_mapper.mapping.result import MapResult
 from incremental_mapper.measurements import Drops
-from incremental_mapper.results.run_folder import FinishedRun
+from incremental_mapper.results.finished_run import FinishedRun
 from incremental_mapper.results.run_statistics import InputFacts, RunStatistics
 from incremental_mapper.results.sessions.joining import alone, between_datums, joined, turned
 from incremental_mapper.results.sessions.saved_run import SavedRun, read_saved_run

@@ -17,9 +17,10 @@ from incremental_mapper.map.ply import MapFile
 from incremental_mapper.map.store import PointStore
 from incremental_mapper.mapping.result import MapResult, Session, trajectory_of
 from incremental_mapper.mapping.statistics import KEYS, MapStatistics
+from incremental_mapper.results.file_names import MAP, WINDOWS
+from incremental_mapper.results.finished_run import FinishedRun
 from incremental_mapper.results.manifest import require_whole
 from incremental_mapper.results.plain_graph import findings_of
-from incremental_mapper.results.run_folder import MAP, WINDOWS, FinishedRun
 from incremental_mapper.results.sessions.session_file import SavedGraph, read_session
 from incremental_mapper.smoothing.graph_state import PlacedScan
 from incremental_mapper.variables import pose_key
