@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from incremental_mapper.cli import exit_status
 from incremental_mapper.cli.inputs import add_input
 from incremental_mapper.errors import OutputError
+from incremental_mapper.frontend.scan_servers import let_go, start_ahead
 from incremental_mapper.garbage import set_aside
 
 if TYPE_CHECKING:
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
 
 STRATEGIES = 'mom, base, min_time_shift, min_solver_error, fewest'
 """The built-in ones, for the help."""
+USUAL_LIDARS = 2
+"""On a KAIST car, whose settings do not name them."""
 TO_OPEN = ('report.html', 'map.png', 'map.ply')
 """What to look at first; without the extra ``report`` there is the map alone."""
 
@@ -96,6 +99,20 @@ def run(args: argparse.Namespace) -> int:
     started = time.perf_counter()
     if args.out_dir is None and args.earlier is None and args.config is None:
         args.wrong_usage('the following arguments are required: OUT_DIR')
+    from incremental_mapper.settings import make_config
+
+    tree, where = _settings(args), str(args.config or 'settings')
+    config = make_config(tree, where)
+    if config.odometry.processes:  # they get ready while the rest is imported
+        start_ahead(len(config.lidars) or USUAL_LIDARS)
+    try:
+        return _map(args, tree, where, started)
+    finally:
+        let_go()
+
+
+def _map(args: argparse.Namespace, tree: 'Tree', where: str, started: float) -> int:
+    """Map with the settings ``tree`` from ``where``; told is how long it took since ``started``."""
     from incremental_mapper.checks.finding import Severity
     from incremental_mapper.cli.findings_text import print_findings
     from incremental_mapper.cli.progress import Progress
@@ -111,8 +128,7 @@ def run(args: argparse.Namespace) -> int:
         load_rerun()  # what is missing is told before the folder is made
         if args.rrd is not None:
             check_rrd(args.rrd)
-    tree = _settings(args)
-    drive = open_drive(args.input, tree, str(args.config or 'settings'), args.truth)
+    drive = open_drive(args.input, tree, where, args.truth)
     folder = _out_dir(args, drive.config.session.folder)
     prepare_folder(folder, args.force)
     for note in drive.all_notes():

@@ -6,7 +6,6 @@ nothing of each other, so processes do.
 
 import os
 import pickle
-import subprocess
 import sys
 from collections import Counter
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -17,10 +16,9 @@ from incremental_mapper.config import Config
 from incremental_mapper.errors import MeasurementError
 from incremental_mapper.frontend.imu_preintegration import EMPTY_SERIES, ImuSeries
 from incremental_mapper.frontend.lidar_odometry import PreparedScan, ScanPreparer
+from incremental_mapper.frontend.preprocessing import warm_up
+from incremental_mapper.frontend.scan_servers import scan_server
 from incremental_mapper.measurements import LidarScan
-
-_SINGLE = {name: '1' for name in ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS')}
-"""The processes share the cores among themselves; their libraries' threads would only compete."""
 
 ENDED = (EOFError, OSError, pickle.UnpicklingError)
 """What is raised where the other end of a stream is gone, before or within a message."""
@@ -66,14 +64,7 @@ class ProcessStation:
     def __init__(self, name: str, config: Config, notes: Counter[str]) -> None:
         self._name, self._config, self._notes = name, config, notes
         self._here: ScanPreparer | None = None
-        # In a session of its own, so that Ctrl-C reaches the mapper alone, which then ends it.
-        self._process = subprocess.Popen(
-            [sys.executable, '-m', 'incremental_mapper.frontend.odometry_process'],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            env={**os.environ, **_SINGLE},
-            start_new_session=True,
-        )
+        self._process = scan_server()
         # One thread waits for the process; a scan is sent once the one before it is done.
         self._thread = ThreadPoolExecutor(1, thread_name_prefix=f'scans_{name}')
         self._thread.submit(self._send, (name, config))
@@ -146,6 +137,7 @@ def main() -> None:
     """Serve on the standard streams; what libraries print goes to stderr."""
     answers = os.fdopen(os.dup(sys.stdout.fileno()), 'wb')
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
+    warm_up()
     serve(sys.stdin.buffer, answers)
 
 

@@ -1,0 +1,51 @@
+"""Processes that will prepare a LiDAR's scans, started before it is known whose.
+
+They take half a second to import what they need. A program that is about to import more than that
+starts them first, and ends those that were not needed.
+"""
+
+import os
+import subprocess
+import sys
+from typing import TypeAlias
+
+Server: TypeAlias = 'subprocess.Popen[bytes]'
+
+_SINGLE = {name: '1' for name in ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS')}
+"""The processes share the cores among themselves; their libraries' threads would only compete."""
+
+_ahead: list[Server] = []
+
+
+def start_ahead(count: int) -> None:
+    """Start so many, for ``scan_server`` to hand out; ``let_go`` must follow."""
+    _ahead.extend(_start() for _ in range(count))
+
+
+def scan_server() -> Server:
+    """A process that serves as ``odometry_process`` says, and has served nobody yet."""
+    while _ahead:
+        server = _ahead.pop()
+        if server.poll() is None:
+            return server
+        server.communicate()
+    return _start()
+
+
+def let_go() -> None:
+    """End those that nobody has taken."""
+    while _ahead:
+        server = _ahead.pop()
+        server.kill()
+        server.communicate()
+
+
+def _start() -> Server:
+    # In a session of its own, so that Ctrl-C reaches the mapper alone, which then ends it.
+    return subprocess.Popen(
+        [sys.executable, '-m', 'incremental_mapper.frontend.odometry_process'],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        env={**os.environ, **_SINGLE},
+        start_new_session=True,
+    )
