@@ -4,7 +4,7 @@ Which samples a scan gets depends on stamps alone, so that a run is the same whe
 come from a file or one by one, and wherever scans are matched.
 """
 
-from bisect import bisect_left, bisect_right, insort
+from bisect import bisect_left, bisect_right
 
 from incremental_mapper.frontend.imu_preintegration import ImuSeries, series_of
 from incremental_mapper.measurements import NANOSECONDS, ImuSample, LidarScan
@@ -33,6 +33,7 @@ class ImuSupply:
             patience: Seconds after which samples that have not come are not waited for.
         """
         self._samples: list[ImuSample] = []
+        self._stamps: list[int] = []  # theirs
         self._expected = expected
         self._patience = max(round(patience * NANOSECONDS), LEAST_PATIENCE)
         self._first: int | None = None  # of all stamps
@@ -42,11 +43,14 @@ class ImuSupply:
 
     def add(self, sample: ImuSample) -> None:
         """Take in a sample, in rad/s and m/s^2, in the IMU's axes."""
-        insort(self._samples, sample, key=_stamp)
+        place = bisect_right(self._stamps, sample.stamp)
+        self._samples.insert(place, sample)
+        self._stamps.insert(place, sample.stamp)
         self._newest_sample = max(self._newest_sample or 0, sample.stamp)
         oldest = self._newest_sample - KEPT - self._patience
-        if self._samples[0].stamp < oldest - NANOSECONDS:  # seldom, since it takes its time
-            del self._samples[: bisect_left(self._samples, oldest, key=_stamp)]
+        if self._stamps[0] < oldest - NANOSECONDS:  # seldom, since it takes its time
+            first = bisect_left(self._stamps, oldest)
+            del self._samples[:first], self._stamps[:first]
 
     def passed(self, stamp: int) -> None:
         """Take note of the newest stamp of all sensors, ns."""
@@ -61,8 +65,8 @@ class ImuSupply:
 
     def take(self, sensor: str, end: int) -> ImuSeries:
         """The samples that are new to a LiDAR, up to the first one at or after a stamp (ns)."""
-        low = bisect_right(self._samples, self._given.get(sensor, end - KEPT), key=_stamp)
-        high = bisect_left(self._samples, end, key=_stamp) + 1
+        low = bisect_right(self._stamps, self._given.get(sensor, end - KEPT))
+        high = bisect_left(self._stamps, end) + 1
         samples = self._samples[low:high]
         if samples:
             self._given[sensor] = samples[-1].stamp
@@ -70,7 +74,3 @@ class ImuSupply:
 
     def _silent_since(self, stamp: int) -> bool:
         return self._newest - stamp > self._patience
-
-
-def _stamp(sample: ImuSample) -> int:
-    return sample.stamp

@@ -372,7 +372,7 @@ class WindowBuffer:
     def _next(self, watermark: int | None) -> Window | None:
         if not self._core:
             return None
-        oldest = min(stamp for stamp, _ in self._core)
+        oldest, _ = min(self._core)
         if self._start is None:
             # The grid starts at the first core stamp, once nothing older can come.
             if watermark is not None and watermark < oldest + self._duration:

@@ -287,7 +287,8 @@ class SharedProblem(Problem):
             pivot = self._prior.pivot
             from_own_columns(entries, layout_of(keys), self.values, pivot, self._own_steps)
             self._add_columns(keys)
-            columns = np.concatenate([self._columns[key] for key in keys] * len(rows))
+            own = np.concatenate([self._columns[key] for key in keys])
+            columns = np.broadcast_to(own, entries.shape).ravel()
             model = getattr(factor, 'noiseModel', lambda: None)()
             robust = isinstance(model, gtsam.noiseModel.Robust)
             known = _Linear(

@@ -5,7 +5,7 @@ library costs more than the work: the step itself is compiled.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from math import sqrt
 
@@ -233,7 +233,7 @@ class System:
 
     def relinearized(self, rows: Array, rhs: Array) -> 'System':
         """The same system with the factors linearised elsewhere: ``rows`` (r, n), ``rhs`` (r,)."""
-        rest = replace(self.rest, factors=rhs)
+        rest = Rest(self.rest.prior, self.rest.regularising, rhs)
         return System(self._prior, self.layout, rows, rest, self.total)
 
     def stacked(self) -> tuple[Array, Array]:

@@ -189,10 +189,12 @@ def marginalise(
     }
     if not old:
         return smaller, gtsam.Values()
-    gone = trimmed(smaller, {key for key in eliminated if cluster_of(key) in old})
+    leaves = tuple(key for key in eliminated if cluster_of(key) in old)
+    steps = pending_delta[layout_of(eliminated).columns(leaves)]
+    gone = smaller._moved(leaves, steps)
     stays = trimmed(smaller, {key for key in eliminated if cluster_of(key) not in old})
     newer = {cluster: stamp for cluster, stamp in prior.clusters.items() if cluster not in old}
-    return replace(stays, clusters=newer), gone.values.extract(gone.eliminated)
+    return replace(stays, clusters=newer), gone
 
 
 def with_poses(keys: Collection[int]) -> frozenset[int]:
