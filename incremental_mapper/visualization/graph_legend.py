@@ -8,8 +8,11 @@ from incremental_mapper.visualization.graph_view import Record, sensor_names, un
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from matplotlib.legend import Legend
 
 
+WIDEST = 0.98
+"""Share of a picture's width that a legend may have; a longer one gets smaller letters."""
 LOOSE = {
     'bridge': 'bridge',
     'imu_part': 'part of an IMU span',
@@ -71,11 +74,19 @@ def add_graph_legend(figure: 'Figure', graphs: Sequence[Record], look: Look) -> 
                     markeredgecolor=edge, label=label,
                 )
             )  # fmt: skip
-    figure.legend(
-        handles=handles, loc='lower center', ncols=12, frameon=False, fontsize=look.text - 1,
-        handlelength=1.8, columnspacing=1.4, bbox_to_anchor=(0.5, 0.005),
-        labelcolor=look.theme.ink,
-    )  # fmt: skip
+
+    def row(text: float) -> 'Legend':
+        return figure.legend(
+            handles=handles, loc='lower center', ncols=len(handles), frameon=False, fontsize=text,
+            handlelength=1.8, columnspacing=1.4, bbox_to_anchor=(0.5, 0.005),
+            labelcolor=look.theme.ink,
+        )  # fmt: skip
+
+    legend = row(look.text - 1)
+    share = legend.get_window_extent().width / figure.bbox.width
+    if share > WIDEST:
+        legend.remove()
+        row((look.text - 1) * WIDEST / share)
 
 
 def sensor_colours(lidars: Sequence[str], others: Sequence[str], theme: Theme) -> dict[str, str]:

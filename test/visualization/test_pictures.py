@@ -19,6 +19,7 @@ from incremental_mapper.visualization.figure import (
     axes_pixels,
     svg_for_page,
 )
+from incremental_mapper.visualization.graph_legend import LOOSE
 from incremental_mapper.visualization.graph_picture import draw_graph, graph_figure
 from incremental_mapper.visualization.graph_view import (
     closure_ends,
@@ -51,6 +52,19 @@ def drive(count: int = 50) -> Trajectory:
         np.c_[x, 3.0 * np.sin(x / 10.0), np.zeros(count)],
         np.tile([0.0, 0.0, 0.0, 1.0], (count, 1)),
     )
+
+
+@pytest.mark.parametrize('width', [WIDTH_PX, WIDTH_PX // 2])
+def test_the_legend_of_a_graph_lies_within_the_picture(width):
+    graph = two_chains()
+    kinds = 'imu', 'gnss', 'prior_pose', *LOOSE
+    plain = {**graph['factors'][0], 'sensor': None}
+    graph['factors'] += [{**plain, 'kind': kind} for kind in kinds]
+    figure, _ = graph_figure(graph, START, START + NANOSECONDS, Look(width=width))
+    (legend,) = figure.legends
+    assert len(legend.get_texts()) > 5
+    extent = legend.get_window_extent()
+    assert extent.x0 >= 0 and extent.x1 <= width
 
 
 def test_loops_that_are_closed_are_drawn_between_their_poses():
