@@ -109,6 +109,22 @@ def test_drive_finds_everything_compiled(light_drive):
     assert int(solved) > 20
 
 
+def test_search_for_loops_finds_everything_compiled():
+    program = """
+        import gtsam
+        from incremental_mapper.smoothing.relative_covariance import RelativeCovariances
+        from incremental_mapper.variables import pose_key
+        values = gtsam.Values()
+        for number in range(2):
+            values.insert(pose_key(number), gtsam.Pose3())
+        noise = gtsam.noiseModel.Isotropic.Sigma(6, 0.1)
+        step = gtsam.BetweenFactorPose3(pose_key(0), pose_key(1), gtsam.Pose3(), noise)
+        RelativeCovariances([step], values).relative(pose_key(0), pose_key(1))
+        print(types() == before)
+    """
+    assert run(program, before=LOADED).split() == ['True']
+
+
 def test_code_is_kept_where_the_user_says(tmp_path):
     def count():
         return map(int, run(COUNT_MISSES, before=LOADED, NUMBA_CACHE_DIR=str(tmp_path)).split())

@@ -31,7 +31,7 @@ from incremental_mapper.measurements import (
 from incremental_mapper.selection.strategies import find_strategy
 from incremental_mapper.selection.window_record import WindowRecord
 from incremental_mapper.settings import to_tree
-from incremental_mapper.smoothing import linear_system
+from incremental_mapper.smoothing import linear_system, relative_covariance
 from incremental_mapper.smoothing.graph_state import GraphState
 
 
@@ -75,6 +75,8 @@ class Mapper:
             preprocessing.warm_up()
             linear_system.warm_up()
             strategy.warm_up()
+            if config.closure.enabled:
+                relative_covariance.warm_up()  # no search need wait for it, nor take its seconds
         self._watch = Watch(config)
         front_end = self._intake.front_end
         self._graph = IncrementalGraph(config, strategy, store, front_end, self._watch)

@@ -148,6 +148,13 @@ class RelativeCovariances:
         )
 
 
+def warm_up() -> None:
+    """Compile the kernels, or load them from disk."""
+    none = np.zeros(1, dtype=np.int64)
+    starts, below = np.array([0, 1], dtype=np.int32), np.zeros(1, dtype=np.int32)
+    _solved(none, np.ones(1), starts, below, np.ones(1))
+
+
 def _dissected(factors: list[gtsam.NonlinearFactor], values: gtsam.Values) -> list[int]:
     """All variables, those that hold the parts of the graph together last."""
     order = gtsam.Ordering.MetisNonlinearFactorGraph(make_graph(factors))
