@@ -15,6 +15,10 @@ noisy as at 100 Hz."""
 LOUDER = 3.0
 """So many times the settings' density an IMU has at least where it is told. With the defaults it is
 0.1 to 1.7 for KITTI's, an Ouster's, S3E's, and simulated ones."""
+SAME = 8
+"""Samples for each number that they are, at least, where they come in steps."""
+HELD = 0.25
+"""Seconds for which the error of a step stays the same: a vehicle turns on within one."""
 NORMAL = 0.6745
 """Median size of a normal number in its standard deviations."""
 NAMES = ('accelerometer_noise', 'gyroscope_noise')
@@ -51,6 +55,25 @@ def scatter(values: NDArray[np.float64]) -> float:
     return float(np.sqrt(np.mean(np.square(sigmas))))
 
 
+def step_density(values: NDArray[np.float64]) -> float:
+    """What samples that come in steps lack, as white noise.
+
+    Args:
+        values: Rates or accelerations (N, 3).
+
+    Returns:
+        Density, the samples' unit by sqrt(Hz), root mean square of the axes; 0 without steps.
+    """
+    if len(values) < FEWEST:
+        return 0.0
+    steps = np.zeros(values.shape[1])
+    for axis, column in enumerate(values.T):
+        levels = np.unique(column)
+        if 3 <= len(levels) <= len(values) // SAME:
+            steps[axis] = np.median(np.diff(levels))
+    return float(np.sqrt(np.mean(np.square(steps)) * HELD / 12.0))
+
+
 def check_noise(
     stamps: NDArray[np.int64],
     gyro: NDArray[np.float64],
@@ -69,10 +92,13 @@ def check_noise(
         ``imu_noise``, None where the IMU is as quiet as the settings say, or nothing is known.
     """
     louder: Tree = {}
+    stepped = False
     for name, values in zip(NAMES, (force, gyro), strict=True):
-        density = noise_density(stamps, values)
-        if density is not None and density > LOUDER * getattr(settings, name):
+        scattered, by_step = noise_density(stamps, values) or 0.0, step_density(values)
+        density = max(scattered, by_step)
+        if density > LOUDER * getattr(settings, name):
             louder[name] = float(f'{density:.2g}')
+            stepped |= by_step > scattered
     if not louder:
         return None
     lines = ', '.join(f'preintegration.{name}: {value:g}' for name, value in louder.items())
@@ -82,8 +108,8 @@ def check_noise(
         'imu_noise',
         Severity.WARNING if chosen else Severity.MENDED,
         'imu',
-        f'its samples scatter far more than the settings say ({said}), as on an engine or of a '
-        'cheap sensor',
+        f'its samples {"come in steps that are" if stepped else "scatter"} far more than the '
+        f'settings say ({said}), as on an engine or of a cheap sensor',
         f'set {lines}' if chosen else f'believed less; {lines}',
         {} if chosen else {'preintegration': louder},
     )

@@ -55,3 +55,17 @@ def test_what_a_user_has_set_is_not_changed():
 
 def test_motion_of_a_slow_imu_is_no_noise():
     assert check_noise(*samples(rate=10.0, force_noise=3.0, seconds=60.0), ImuSettings()) is None
+
+
+def test_samples_in_steps_lack_what_is_between_them():
+    stamps, gyro, force = samples(force_noise=0.02, gyro_noise=0.001)
+    found = check_noise(stamps, gyro, np.round(force / 0.98) * 0.98, ImuSettings())
+    assert found is not None and found.severity is Severity.MENDED and 'steps' in found.text
+    density = found.settings['preintegration']['accelerometer_noise']
+    assert density == pytest.approx(0.98 * np.sqrt(0.25 / 12.0), rel=0.05)
+
+
+def test_the_steps_of_a_good_converter_are_no_matter():
+    stamps, gyro, force = samples(force_noise=0.02, gyro_noise=0.001)
+    counts = np.round(force / 0.0024) * 0.0024, np.round(gyro / 0.001) * 0.001
+    assert check_noise(stamps, counts[1], counts[0], ImuSettings()) is None
