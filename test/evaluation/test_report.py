@@ -440,6 +440,13 @@ def test_page_of_a_run_stands_alone(evaluation, tmp_path):
     assert 'is not to be trusted' not in page.text
 
 
+def test_pages_tell_a_score_in_words(evaluation):
+    """``mom_2`` is a name of windows.csv, which nobody knows who sees his first page."""
+    text = (evaluation / 'report.html').read_text(encoding='utf-8')
+    (title,) = re.findall(r'score of the winners of mom: ([^<]+)<', text)
+    assert title.endswith('m²')
+
+
 def test_page_of_a_run_leads_with_what_is_wrong(evaluation, tmp_path):
     copy = shutil.copytree(evaluation / 'light' / 'mom', tmp_path / 'copy')
     stats = json.loads((copy / 'stats.json').read_text(encoding='utf-8'))

@@ -25,6 +25,13 @@ Series: TypeAlias = tuple[NDArray[np.float64], NDArray[np.float64]]
 SETTLED = 20
 """Compression is drawn from so many variables of base on: before, each one is a jump."""
 MIN_TRUE_POSES = 3
+SCORES = {
+    'mom_3': 'MOM on planes of three directions, m²',
+    'mom_2': 'MOM on planes of two directions, m²',
+    'mom_1': 'MOM on planes of one direction, m²',
+    'plane_variance': 'mean variance of all planes, m²',
+}
+"""What readers of a page are told, who do not know the names in ``windows.csv``."""
 WIDE = 4.0
 """Ratio of errors from which on their axis is logarithmic."""
 
@@ -50,7 +57,8 @@ def progress_figure(
     if savings:
         panels.append((f'{what} saved so far, %', savings))
     if label:
-        panels.append((f'score of the winners of {lead}, {label}', {lead: scores}))
+        said = SCORES.get(label, label)
+        panels.append((f'score of the winners of {lead}: {said}', {lead: scores}))
     if errors:
         panels.append(('distance to the truth, cm', errors))
     figure = new_figure(look)
