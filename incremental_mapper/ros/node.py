@@ -2,6 +2,11 @@
 
 import signal
 import sys
+
+if __name__ == '__main__':
+    # To load the rest takes a second or two, and there is nothing to save yet.
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
 import threading
 from collections import Counter, deque
 from collections.abc import Callable, Generator

@@ -80,19 +80,27 @@ def test_without_ros_the_program_says_so(monkeypatch, capsys):
     assert 'pip install "incremental_mapper[ros]"' in err and err.count('\n') == 1
 
 
-def test_a_signal_while_the_node_is_loaded_ends_it_without_a_traceback():
-    code = """
-import os, signal, sys
-from incremental_mapper.cli import mapper_node
+@pytest.mark.parametrize(
+    ('module', 'loaded'),
+    [
+        ('incremental_mapper.cli.mapper_node', 'incremental_mapper.ros.node'),
+        ('incremental_mapper.ros.node', 'rclpy'),
+        ('incremental_mapper.ros.node', 'incremental_mapper.ros.publishers'),
+    ],
+)
+def test_a_signal_while_the_node_is_loaded_ends_it_without_a_traceback(module, loaded):
+    code = f"""
+import os, runpy, signal, sys
 
 class Interrupted:
     def find_spec(self, name, *_):
-        if name == 'incremental_mapper.ros.node':
+        if name == '{loaded}':
             os.kill(os.getpid(), signal.SIGINT)
 
 signal.signal(signal.SIGINT, signal.default_int_handler)
 sys.meta_path.insert(0, Interrupted())
-mapper_node.main(['mapper_node'])
+sys.argv = ['mapper_node']
+runpy.run_module('{module}', run_name='__main__')
 """
     ended = subprocess.run(
         [sys.executable, '-c', code], capture_output=True, text=True, check=False
