@@ -17,6 +17,8 @@ LOUDER = 3.0
 0.1 to 1.7 for KITTI's, an Ouster's, S3E's, and simulated ones."""
 SAME = 8
 """Samples for each number that they are, at least, where they come in steps."""
+LOOKED_AT = 2000
+"""Samples, the newest, in which steps are looked for."""
 HELD = 0.25
 """Seconds for which the error of a step stays the same: a vehicle turns on within one."""
 NORMAL = 0.6745
@@ -66,6 +68,7 @@ def step_density(values: NDArray[np.float64]) -> float:
     """
     if len(values) < FEWEST:
         return 0.0
+    values = values[-LOOKED_AT:]
     steps = np.zeros(values.shape[1])
     for axis, column in enumerate(values.T):
         levels = np.unique(column)

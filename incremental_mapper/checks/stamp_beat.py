@@ -53,14 +53,14 @@ def _around(passed: NDArray[np.float64], usual: float) -> float:
     """Scatter (s) of times around a beat of about ``usual`` seconds."""
     # Steps that scatter have a median of their own; how many beats there were tells the true one.
     count = round(float(passed[-1]) / usual)
-    return min(_scatter(passed, float(passed[-1]) / beats) for beats in range(count - 2, count + 3))
-
-
-def _scatter(passed: NDArray[np.float64], beat: float) -> float:
-    """Standard deviation (s) of times around the multiples of about a beat."""
-    numbers = np.round(passed / beat)
-    slope, start = np.polyfit(numbers, passed, 1)
-    return float(np.std(passed - (slope * numbers + start)))
+    beats = np.arange(count - 2, count + 3, dtype=float)[:, None]
+    numbers = np.round(passed * beats / passed[-1])
+    # A straight line through each, in closed form: polyfit takes ten times as long.
+    numbers -= numbers.mean(axis=1, keepdims=True)
+    centred = passed - passed.mean()
+    slopes = numbers @ centred / np.maximum(np.square(numbers).sum(axis=1), 1e-12)
+    rest = centred - slopes[:, None] * numbers
+    return float(np.sqrt(np.square(rest).mean(axis=1)).min())
 
 
 def beat_finding(lidar: str, scatters: Sequence[float]) -> Finding | None:
