@@ -46,6 +46,9 @@ NO_BAR, BAR = (128, 76), (256, 142)
 """Pixels beside the axes, with a heading and without; and where a bar of colours stands there."""
 HEADED, UNHEADED = 166, 84
 """Pixels above and below the axes, with a heading and without."""
+SQUARE, MOST_SQUARES = 0.5, 4_000_000
+"""Metres of the squares in which all points have the same pose next to them; larger ones where
+there would be more than so many."""
 NO_CLOSURES: NDArray[np.float64] = np.zeros((0, 2, 3))
 
 
@@ -206,8 +209,19 @@ def _above_way(points: NDArray[np.float64], estimate: Trajectory) -> NDArray[np.
     heights: NDArray[np.float64] = points[:, 2]
     if len(estimate) == 0 or len(points) == 0:
         return heights
-    _, nearest = cKDTree(estimate.positions[:, :2]).query(points[:, :2], workers=-1)
-    return np.asarray(heights - estimate.positions[nearest, 2], dtype=np.float64)
+    # A square has far more points than one, and one nearest pose.
+    low = points[:, :2].min(axis=0)
+    extent = points[:, :2].max(axis=0) - low
+    side = max(SQUARE, np.sqrt(extent.prod() / MOST_SQUARES), extent.max() / MOST_SQUARES)
+    column, row = ((points[:, :2] - low) / side).astype(np.int64).T
+    rows = int(row.max()) + 1
+    numbers = column * rows + row
+    taken = np.flatnonzero(np.bincount(numbers))
+    middles = low + (np.stack(np.divmod(taken, rows), axis=1) + 0.5) * side
+    _, nearest = cKDTree(estimate.positions[:, :2]).query(middles)
+    below = np.zeros(int(taken[-1]) + 1)
+    below[taken] = estimate.positions[nearest, 2]
+    return np.asarray(heights - below[numbers], dtype=np.float64)
 
 
 def _fitted(

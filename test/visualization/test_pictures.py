@@ -1,6 +1,6 @@
 import re
 import sys
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +10,7 @@ import pytest
 from incremental_mapper.errors import OutputError
 from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.trajectory import Trajectory
+from incremental_mapper.visualization import pictures
 from incremental_mapper.visualization.figure import (
     DARK,
     LIGHT,
@@ -52,6 +53,19 @@ def drive(count: int = 50) -> Trajectory:
         np.c_[x, 3.0 * np.sin(x / 10.0), np.zeros(count)],
         np.tile([0.0, 0.0, 0.0, 1.0], (count, 1)),
     )
+
+
+@pytest.mark.parametrize('size', [1.0, 1000.0])
+def test_heights_are_over_the_nearest_pose(size):
+    way = drive()
+    climbing = replace(way, positions=size * np.c_[way.positions[:, :2], way.positions[:, 0] / 10])
+    around = np.random.default_rng(1).uniform(-5.0, 45.0, (5000, 3)) * size
+    apart = np.linalg.norm(around[:, None, :2] - climbing.positions[None, :, :2], axis=2)
+    exact = around[:, 2] - climbing.positions[apart.argmin(axis=1), 2]
+    # A square of half a metre in 50, or one in 2000, and what the way climbs from pose to pose.
+    assert np.abs(pictures._above_way(around, climbing) - exact).max() < size * (0.05 + 0.09)
+    single = around[:1]
+    assert pictures._above_way(single, climbing).shape == (1,)
 
 
 @pytest.mark.parametrize('width', [WIDTH_PX, WIDTH_PX // 2])
