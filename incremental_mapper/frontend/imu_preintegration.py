@@ -30,8 +30,8 @@ _SECOND, _THIRD = [1, 2, 0], [2, 0, 1]
 class ImuSeries:
     """Samples in time order: stamps (K,) ns, gyro (K, 3) rad/s, acceleration (K, 3) m/s^2.
 
-    ``turning`` is what was made of samples and of those before them, and ``forces`` what spans are
-    made of, where that was asked for.
+    ``turning`` is what was made of samples and of those before them, maybe without the newest ones,
+    and ``forces`` what spans are made of, where that was asked for.
     """
 
     stamps: NDArray[np.int64]
@@ -42,9 +42,13 @@ class ImuSeries:
 
     @property
     def changes(self) -> NDArray[np.float64]:
-        """How the turn changes around each sample (K, 3), rad/s^2 along the IMU's axes."""
+        """How the turn changes around each sample (K, 3), rad/s^2 along the IMU's axes.
+
+        Zero for the newest ones of which ``turning`` does not tell.
+        """
         turning = turning_of(self.stamps, self.gyro) if self.turning is None else self.turning
-        return turning.changes
+        untold = len(self.stamps) - len(turning.changes)
+        return np.vstack([turning.changes, np.zeros((untold, 3))]) if untold else turning.changes
 
     def since(self, stamp: int) -> 'ImuSeries':
         """The samples with a stamp of at least ``stamp``."""
@@ -67,6 +71,27 @@ class ImuSeries:
     def with_forces(self, parameters: gtsam.PreintegrationCombinedParams) -> 'ImuSeries':
         """This series for spans with these ``parameters``: what they share is computed once."""
         return replace(self, forces=span_forces(self, parameters))
+
+    def chosen(self, which: NDArray[np.bool_], unsure: int | None = None) -> 'ImuSeries':
+        """Some of the samples; how the turn changes is what they tell without the others.
+
+        Args:
+            which: Whether a sample is one of them, (K,).
+            unsure: Position of the first sample that may be wrong, as is not known yet: it and all
+                behind it have no say for now.
+        """
+        some = ImuSeries(self.stamps[which], self.gyro[which], self.acceleration[which])
+        if self.turning is None:
+            return some
+        first = int(which.argmin()) if not which.all() else len(which)
+        first = first if unsure is None else min(first, unsure)
+        if first == len(which):
+            return replace(some, turning=self.turning)
+        # What an earlier span was made with stays, as far as the others had no say in it.
+        known = np.searchsorted(self.turning.ends[:first], self.stamps[first] - SMOOTHED)
+        sure = int(np.count_nonzero(which[:unsure]))
+        told = turning_of(some.stamps[:sure], some.gyro[:sure], self.turning.part(0, int(known)))
+        return replace(some, turning=told)
 
     def nearest(self, stamp: int) -> 'ImuSeries':
         """The one sample nearest to ``stamp``; empty where there are none."""

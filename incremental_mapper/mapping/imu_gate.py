@@ -92,7 +92,7 @@ def gate(
         return Gated(series, EMPTY_SERIES)
     rates = series.gyro @ R_base_imu.T
     condemned = np.zeros(len(series.stamps), dtype=bool)
-    vouched = condemned.copy()
+    vouched, judged = condemned.copy(), condemned.copy()
     for item in prepared:
         if not isinstance(item, PreparedScan) or item.previous is None:
             continue
@@ -105,6 +105,7 @@ def gate(
         turn = gtsam.Rot3.Logmap(item.T_previous_current.rotation()) * (NANOSECONDS / passed)
         off = rates[span] - turn
         turned = np.linalg.norm(off, axis=1) > RATE
+        judged[span] = True
         vouched[span] |= fast[span] & ~turned
         if np.linalg.norm(off.mean(axis=0)) > MEAN_RATE:
             condemned[span] |= fast[span] & turned
@@ -113,13 +114,16 @@ def gate(
     condemned |= goes_on
     condemned = _whole(condemned, lasting)
     keep = ~(condemned & ~(vouched & ~strong))
-    if keep.all():
+    unsure = _unsure((fast | strong) & keep, judged)
+    if keep.all() and unsure is None:
         return Gated(series, EMPTY_SERIES)
-    return Gated(_chosen(series, keep), _chosen(series, ~keep))
+    return Gated(series.chosen(keep, unsure), series.chosen(~keep))
 
 
-def _chosen(series: ImuSeries, which: NDArray[np.bool_]) -> ImuSeries:
-    return ImuSeries(series.stamps[which], series.gyro[which], series.acceleration[which])
+def _unsure(unusual: NDArray[np.bool_], judged: NDArray[np.bool_]) -> int | None:
+    """Position of the first unusual sample behind the last match: a knock may begin there."""
+    behind = unusual & ~np.maximum.accumulate(judged[::-1])[::-1]
+    return int(behind.argmax()) if judged.any() and behind.any() else None
 
 
 def _lasting(

@@ -1,11 +1,13 @@
 """Samples that contradict the matches are left out, and no others."""
 
+from dataclasses import replace
+
 import gtsam
 import numpy as np
 import pytest
 
 from incremental_mapper.candidates.model import CoreKind, CoreMeasurement
-from incremental_mapper.frontend.imu_preintegration import ImuSeries
+from incremental_mapper.frontend.imu_preintegration import ImuSeries, turning_of
 from incremental_mapper.frontend.lidar_odometry import PreparedScan
 from incremental_mapper.mapping.imu_gate import ImuGate, gate
 
@@ -131,3 +133,34 @@ def test_a_knock_that_fills_a_window_is_left_out_whole():
     assert gated.refused.stamps.tolist() == usual.stamps[5:45].tolist()
     # What comes after it is used again.
     assert len(held.take(usual, MATCHES, EYE).refused.stamps) == 0
+
+
+def joined(samples):
+    """A series with how the turn changes, as the mapper makes it of a window's samples."""
+    told = turning_of(samples.stamps, samples.gyro)
+    return replace(samples, turning=told)
+
+
+@pytest.mark.parametrize('begins', [12, 43, 49], ids=['judged', 'in the last match', 'behind it'])
+def test_a_knock_changes_no_turn_of_the_samples_beside_it(begins):
+    samples = series()
+    samples.gyro[begins : begins + 20, 2] = 20.0
+    matches = MATCHES if begins < 49 else MATCHES[:4]
+    gated = gate(joined(samples), matches, EYE)
+    assert np.abs(gated.series.changes).max() < 1e-9
+    assert len(gated.series.changes) == len(gated.series.stamps)
+
+
+def test_a_fast_turn_that_a_later_match_vouches_for_is_told_in_full():
+    count, begins = 60, 42
+    samples = series(0.6, rate=0.0)
+    samples.gyro[begins:, 2] = 4.0
+    window = samples.part(0, 50)
+    first = gate(joined(window), MATCHES[:4], EYE)
+    assert not first.series.changes[begins - 4 :].any()
+    newer = samples.part(50, count)
+    both = first.series.joined_series(newer)
+    both = replace(both, turning=turning_of(both.stamps, both.gyro, first.series.turning))
+    later = gate(both, [*MATCHES[:4], match(5, 3.2), match(6, 4.0)], EYE)
+    assert len(later.refused.stamps) == 0
+    assert later.series.changes[:, 2].sum() * 0.01 == pytest.approx(4.0, abs=0.01)
