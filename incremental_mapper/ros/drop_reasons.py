@@ -102,7 +102,8 @@ DROP_REASONS = {
         'see whether two drivers publish the topic',
     ),
     'late': DropReason(
-        'older than a window that is closed, and no place is left', 'raise window.lateness'
+        'older than a window that is closed, and no place is left',
+        'was it sent before (a bag that plays twice, two publishers)? else raise window.lateness',
     ),
     'stamp_leap': DropReason(
         'a stamp far in the future or the past that nothing followed', 'check the clock'
