@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
 WIDEST = 0.98
 """Share of a picture's width that a legend may have; a longer one gets smaller letters."""
+TRIES = 5
 LOOSE = {
     'bridge': 'bridge',
     'imu_part': 'part of an IMU span',
@@ -82,11 +83,16 @@ def add_graph_legend(figure: 'Figure', graphs: Sequence[Record], look: Look) -> 
             labelcolor=look.theme.ink,
         )  # fmt: skip
 
-    legend = row(look.text - 1)
-    share = legend.get_window_extent().width / figure.bbox.width
-    if share > WIDEST:
+    # Letters are drawn on whole pixels: half the size is not half as wide.
+    text, share = float(look.text - 1), 1.0
+    for _ in range(TRIES):
+        text *= min(1.0, WIDEST / share)
+        legend = row(text)
+        share = legend.get_window_extent().width / figure.bbox.width
+        if share <= 1.0:
+            return
         legend.remove()
-        row((look.text - 1) * WIDEST / share)
+    row(text * WIDEST / share)
 
 
 def sensor_colours(lidars: Sequence[str], others: Sequence[str], theme: Theme) -> dict[str, str]:

@@ -68,7 +68,7 @@ def test_heights_are_over_the_nearest_pose(size):
     assert pictures._above_way(single, climbing).shape == (1,)
 
 
-@pytest.mark.parametrize('width', [WIDTH_PX, WIDTH_PX // 2])
+@pytest.mark.parametrize('width', range(WIDTH_PX // 2, WIDTH_PX + 1, 80))
 def test_the_legend_of_a_graph_lies_within_the_picture(width):
     graph = two_chains()
     kinds = 'imu', 'gnss', 'prior_pose', *LOOSE
