@@ -156,9 +156,15 @@ def warm_up() -> None:
 
 
 def _dissected(factors: list[gtsam.NonlinearFactor], values: gtsam.Values) -> list[int]:
-    """All variables, those that hold the parts of the graph together last."""
-    order = gtsam.Ordering.MetisNonlinearFactorGraph(make_graph(factors))
-    keys = [order.at(place) for place in range(order.size())]
+    """All variables, those that hold the parts of the graph together last.
+
+    METIS ends the process where a variable has no neighbour, so it is not shown any such.
+    """
+    linking = [factor for factor in factors if len(set(factor.keys())) > 1]
+    keys: list[int] = []
+    if linking:
+        order = gtsam.Ordering.MetisNonlinearFactorGraph(make_graph(linking))
+        keys = [order.at(place) for place in range(order.size())]
     reached = set(keys)
     alone = [int(key) for key in values.keys() if key not in reached]  # noqa: SIM118
     return [*alone, *keys]

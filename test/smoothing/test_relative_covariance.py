@@ -1,5 +1,9 @@
 """Relative covariances: those of a chain that nothing holds, and of one that a prior holds."""
 
+import subprocess
+import sys
+from pathlib import Path
+
 import gtsam
 import numpy as np
 import pytest
@@ -25,6 +29,33 @@ def chain(count):
         for i in range(count - 1)
     ]
     return factors, values
+
+
+LONE = """
+import gtsam
+from test_relative_covariance import NOISE, STEP, chain
+from incremental_mapper.smoothing.relative_covariance import RelativeCovariances
+from incremental_mapper.variables import pose_key
+
+factors, values = chain({linked})
+for number in range({linked}, {linked} + {lone}):
+    values.insert(pose_key(number), STEP)
+    model = gtsam.noiseModel.Gaussian.Covariance(NOISE)
+    factors.append(gtsam.PriorFactorPose3(pose_key(number), STEP, model))
+RelativeCovariances(factors, values)
+"""
+
+
+@pytest.mark.parametrize(('linked', 'lone'), [(0, 3), (4, 900), (500, 1), (500, 6)])
+def test_variables_that_nothing_links_do_not_end_the_process(linked, lone):
+    """As scans that match no other, without an IMU; in a process, which would be the one to die."""
+    done = subprocess.run(
+        [sys.executable, '-c', LONE.format(linked=linked, lone=lone)],
+        cwd=Path(__file__).parent,
+        check=False,
+        timeout=120,
+    )
+    assert done.returncode == 0
 
 
 def test_it_is_propagated_along_a_chain_that_nothing_holds():
