@@ -32,18 +32,23 @@ def _rates(drive: Recording, change: Callable[[Any], Any]) -> Recording:
     )
 
 
+def knocked(drive: Recording, force: list[float], begin: int, seconds: float) -> Recording:
+    """With the IMU pushed by a force (3,), m/s^2, for a while from a stamp (ns) on."""
+    inside = range(begin, begin + round(seconds * NANOSECONDS))
+
+    def change(message: Any) -> Any:
+        if stamp_of(message) not in inside:
+            return message
+        felt = numbers(message.linear_acceleration) + force
+        return replace(message, linear_acceleration=vector(felt))
+
+    return drive.each(IMU, change)
+
+
 def _knocked(name: str, text: str, force: list[float], seconds: float) -> None:
     def make(drive: Recording, folder: Path) -> Path:
-        begin = (drive.start + drive.end) // 2
-        inside = range(begin, begin + round(seconds * NANOSECONDS))
-
-        def change(message: Any) -> Any:
-            if stamp_of(message) not in inside:
-                return message
-            felt = numbers(message.linear_acceleration) + force
-            return replace(message, linear_acceleration=vector(felt))
-
-        return drive.each(IMU, change).write(folder / 'bag')
+        middle = (drive.start + drive.end) // 2
+        return knocked(drive, force, middle, seconds).write(folder / 'bag')
 
     make.__name__, make.__doc__ = name, f'{text}.'
     lie(SOUND, *TOLD, about='imu', drive='turns', factor=2.0)(make)

@@ -7,45 +7,35 @@ from typing import Any
 import numpy as np
 
 from incremental_mapper.measurements import NANOSECONDS
+from lies.faint import knocked
 from lies.fixes import METRE
 from lies.lie import Verdict, lie
-from lies.recording import FIX, IMU, Recording, numbers, restamped, stamp_of, vector
+from lies.recording import FIX, Recording, restamped, stamp_of
 
 MENDED, WARNED, REFUSED, SOUND = Verdict.MENDED, Verdict.WARNED, Verdict.REFUSED, Verdict.SOUND
 ANY = r'imu|gnss|left|right'
 
 
-def _knocked(drive: Recording, force: float, axis: int, seconds: float) -> Recording:
-    """With the IMU pushed for a while in the middle of the drive."""
-    middle = drive.start + round(10.0 * NANOSECONDS)
-    push = np.zeros(3)
-    push[axis] = force
-
-    def change(message: Any) -> Any:
-        if not 0 <= stamp_of(message) - middle < seconds * NANOSECONDS:
-            return message
-        felt = numbers(message.linear_acceleration) + push
-        return replace(message, linear_acceleration=vector(felt))
-
-    return drive.each(IMU, change)
+def _knocked(drive: Recording, force: list[float], seconds: float) -> Recording:
+    return knocked(drive, force, drive.start + 10 * NANOSECONDS, seconds)
 
 
 @lie(SOUND, MENDED, WARNED, about=ANY, drive='turns', factor=2.0)
 def imu_knocked(drive: Recording, folder: Path) -> Path:
     """An IMU that feels 15 m/s^2 more ahead for 0.2 s."""
-    return _knocked(drive, 15.0, 0, 0.2).write(folder / 'bag')
+    return _knocked(drive, [15.0, 0.0, 0.0], 0.2).write(folder / 'bag')
 
 
 @lie(SOUND, MENDED, WARNED, about=ANY, drive='turns', factor=2.0)
 def imu_knocked_aside(drive: Recording, folder: Path) -> Path:
     """An IMU that feels 24 m/s^2 more to the left for 0.2 s."""
-    return _knocked(drive, 24.0, 1, 0.2).write(folder / 'bag')
+    return _knocked(drive, [0.0, 24.0, 0.0], 0.2).write(folder / 'bag')
 
 
 @lie(SOUND, MENDED, WARNED, about=ANY, drive='turns', factor=2.0)
 def imu_pushed(drive: Recording, folder: Path) -> Path:
     """An IMU that feels 3 m/s^2 more ahead for two seconds."""
-    return _knocked(drive, 3.0, 0, 2.0).write(folder / 'bag')
+    return _knocked(drive, [3.0, 0.0, 0.0], 2.0).write(folder / 'bag')
 
 
 def _place(message: Any, north: float, east: float) -> Any:

@@ -40,7 +40,7 @@ def without_constant_ranges(points: Points) -> tuple[Points, tuple[Remark, ...]]
         written = _constant_range(points)
         if written is None:
             break
-        ranges = _ranges(points)
+        ranges = ranges_of(points)
         if not found:  # shares are told of the cloud as it came
             usable = int((np.isfinite(ranges) & (ranges > 0.0)).sum())
         at = np.abs(ranges - written) <= NEAR
@@ -67,7 +67,7 @@ def _constant_range(points: Points) -> float | None:
     sample = points
     if len(points) > SAMPLE:
         sample = points[np.arange(SAMPLE) * len(points) // SAMPLE]
-    ranges = _ranges(sample)
+    ranges = ranges_of(sample)
     usable = np.isfinite(ranges) & (ranges > 0.0)
     sample, ranges = sample[usable], ranges[usable]
     fewest = max(FEWEST, int(np.ceil(SHARE * len(ranges))))
@@ -88,7 +88,7 @@ def _constant_range(points: Points) -> float | None:
 
 def _crowded(points: Points) -> bool:
     """Whether some of a few points are at one range: most clouds are done with that."""
-    ranges = _ranges(points.take(np.arange(FIRST) * len(points) // FIRST, axis=0))
+    ranges = ranges_of(points.take(np.arange(FIRST) * len(points) // FIRST, axis=0))
     ranges = np.sort(ranges[(ranges > 0.0) & (ranges < np.inf)])
     if len(ranges) < CROWD:
         return False
@@ -102,7 +102,8 @@ def _all_about(points: Points) -> bool:
     return all(np.ptp(np.quantile(part, (0.1, 0.9))) > SPREAD for part in angles)
 
 
-def _ranges(points: Points) -> NDArray[np.float64]:
+def ranges_of(points: Points) -> NDArray[np.float64]:
+    """Ranges (N,) of points (N, 3), metres; infinite or NaN where coordinates are absurd."""
     with np.errstate(over='ignore', invalid='ignore'):  # signalling NaNs, absurd coordinates
         wide = points.astype(np.float64)
         ranges: NDArray[np.float64] = np.sqrt(np.einsum('ij,ij->i', wide, wide))

@@ -72,12 +72,14 @@ def shape_finding(sensor: str, shape: Shape) -> Finding | None:
         return None
     spread = np.linalg.svd(shape.local - shape.local.mean(axis=0), compute_uv=False)
     extent = float(np.hypot(*np.ptp(shape.local, axis=0)))
-    if spread[1] / np.sqrt(len(shape.local)) < BENT or extent < LENGTH:
+    narrow = float(spread[1]) / np.sqrt(len(shape.local))
+    if narrow < BENT or extent < LENGTH:
         return None
     now = misfit(metres(shape.degrees), shape.local)
     least = MISFIT * extent + NOISE * shape.sigma
     if now < least:
-        return _stretched(sensor, shape, now, extent)
+        stretched = narrow >= WIDE and now >= STRETCHED * extent + NOISE * shape.sigma
+        return _stretched(sensor, shape, now) if stretched else None
     latitude, longitude = shape.degrees.T
     causes = []
     if np.abs(longitude).max() <= 90.0:
@@ -103,13 +105,10 @@ def shape_finding(sensor: str, shape: Shape) -> Finding | None:
     )
 
 
-def _stretched(sensor: str, shape: Shape, now: float, extent: float) -> Finding | None:
+def _stretched(sensor: str, shape: Shape, now: float) -> Finding | None:
     """A track that is too long to the east or to the north, and otherwise the same."""
     enu = metres(shape.degrees)
     fixes, places = enu - enu.mean(axis=0), shape.local - shape.local.mean(axis=0)
-    narrow = np.linalg.svd(places, compute_uv=False)[1] / np.sqrt(len(places))
-    if now < STRETCHED * extent + NOISE * shape.sigma or narrow < WIDE:
-        return None
     affine = np.linalg.lstsq(places, fixes, rcond=None)[0]
     left = float(np.sqrt(np.mean(np.sum((fixes - places @ affine) ** 2, axis=1))))
     scales = np.linalg.norm(affine, axis=0)

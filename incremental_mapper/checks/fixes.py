@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from incremental_mapper.checks.finding import Finding, Severity
+from incremental_mapper.checks.residuals import OFF
 
 MOST = 0.5
 """Share of the fixes that may be wrong before odometry is as likely to be."""
@@ -38,10 +39,6 @@ DISTRUST = 100.0
 FEWEST_DISTRUSTED, DISTRUSTED = 5, 0.1
 """Fixes, and share of them, that are distrusted at least where a map is told to hang on odometry
 alone; those of the start that proved wrong have left it."""
-
-ASTRAY = 1.0
-"""Metres that most of the fixes are off from where on a map is not to be trusted; as ``OFF`` of
-``checks/residuals.py``."""
 
 
 @dataclass(slots=True)
@@ -243,7 +240,7 @@ def hardly_trusted(
     if len(doubted) < max(FEWEST_DISTRUSTED, DISTRUSTED * len(stated)):
         return ()
     metres = float(np.median(off[doubted]))
-    astray = len(doubted) > MOST * len(stated) and metres > ASTRAY
+    astray = len(doubted) > MOST * len(stated) and metres > OFF
     return (
         Finding(
             'fixes_distrusted',

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from incremental_mapper.checks.constant_range import ranges_of
 from incremental_mapper.checks.finding import Finding, Severity
 from incremental_mapper.measurements import Points
 
@@ -26,9 +27,7 @@ def point_ranges(points: Points) -> NDArray[np.float64] | None:
     Args:
         points: Points (N, 3) in the LiDAR's frame, metres.
     """
-    sample = points[:: max(len(points) // 2000, 1)].astype(np.float64)
-    with np.errstate(over='ignore', invalid='ignore'):
-        ranges = np.sqrt(np.einsum('ij,ij->i', sample, sample))
+    ranges = ranges_of(points[:: max(len(points) // 2000, 1)])
     ranges = ranges[np.isfinite(ranges) & (ranges > 0.0)]
     return np.quantile(ranges, SHARES) if len(ranges) >= FEWEST else None
 

@@ -4,9 +4,7 @@ Scan matching holds Python's lock, so threads would not run side by side; the Li
 nothing of each other, so processes do.
 """
 
-import os
 import pickle
-import sys
 from collections import Counter
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
@@ -18,6 +16,7 @@ from incremental_mapper.frontend.imu_preintegration import EMPTY_SERIES, ImuSeri
 from incremental_mapper.frontend.lidar_odometry import PreparedScan, ScanPreparer
 from incremental_mapper.frontend.preprocessing import warm_up
 from incremental_mapper.frontend.scan_servers import scan_server
+from incremental_mapper.helper_process import streams
 from incremental_mapper.measurements import LidarScan
 
 ENDED = (EOFError, OSError, pickle.UnpicklingError)
@@ -134,11 +133,10 @@ def _answer(requests: BinaryIO, answers: BinaryIO) -> None:
 
 
 def main() -> None:
-    """Serve on the standard streams; what libraries print goes to stderr."""
-    answers = os.fdopen(os.dup(sys.stdout.fileno()), 'wb')
-    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
+    """Serve on the standard streams."""
+    requests, answers = streams()
     warm_up()
-    serve(sys.stdin.buffer, answers)
+    serve(requests, answers)
 
 
 if __name__ == '__main__':

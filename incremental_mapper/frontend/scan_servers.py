@@ -4,17 +4,12 @@ They take half a second to import what they need. A program that is about to imp
 starts them first, and ends those that were not needed.
 """
 
-import os
-import subprocess
-import sys
-from typing import TypeAlias
-
-Server: TypeAlias = 'subprocess.Popen[bytes]'
+from incremental_mapper.helper_process import Helper, start
 
 _SINGLE = {name: '1' for name in ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS')}
 """The processes share the cores among themselves; their libraries' threads would only compete."""
 
-_ahead: list[Server] = []
+_ahead: list[Helper] = []
 
 
 def start_ahead(count: int) -> None:
@@ -22,7 +17,7 @@ def start_ahead(count: int) -> None:
     _ahead.extend(_start() for _ in range(count))
 
 
-def scan_server() -> Server:
+def scan_server() -> Helper:
     """A process that serves as ``odometry_process`` says, and has served nobody yet."""
     while _ahead:
         server = _ahead.pop()
@@ -40,12 +35,5 @@ def let_go() -> None:
         server.communicate()
 
 
-def _start() -> Server:
-    # In a session of its own, so that Ctrl-C reaches the mapper alone, which then ends it.
-    return subprocess.Popen(
-        [sys.executable, '-m', 'incremental_mapper.frontend.odometry_process'],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        env={**os.environ, **_SINGLE},
-        start_new_session=True,
-    )
+def _start() -> Helper:
+    return start('incremental_mapper.frontend.odometry_process', _SINGLE)

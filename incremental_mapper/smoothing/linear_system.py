@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dpotrs
 
 from incremental_mapper.compiled import kernel
-from incremental_mapper.variables import cluster_of, pose_key
+from incremental_mapper.variables import cluster_of, kind_of, pose_key
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -25,8 +25,6 @@ REGULARISING_SIGMA = 1e3
 
 DIMENSIONS = {'x': 6, 'v': 3, 'b': 6}
 """Numbers of a tangent step, by the kind of the variable: pose, velocity, bias."""
-_POSE, _VELOCITY = ord('x'), ord('v')
-_SIZES = {ord(kind): size for kind, size in DIMENSIONS.items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +57,7 @@ class Layout:
         places, end = self.places, self.size
         for key in keys:
             if key not in places:
-                start, end = end, end + _SIZES[key >> 56]
+                start, end = end, end + DIMENSIONS[kind_of(key)]
                 places[key] = slice(start, end)
         if end != self.size:
             self.size, self._poses, self._velocities = end, None, None
@@ -74,7 +72,7 @@ class Layout:
         """The poses among the variables, and where they stand."""
         if self._poses is None:
             self._poses = tuple(
-                (key, place) for key, place in self.places.items() if key >> 56 == _POSE
+                (key, place) for key, place in self.places.items() if kind_of(key) == 'x'
             )
         return self._poses
 
@@ -84,7 +82,7 @@ class Layout:
         if self._velocities is None:
             found = []
             for key, place in self.places.items():
-                if key >> 56 == _VELOCITY:
+                if kind_of(key) == 'v':
                     pose = pose_key(cluster_of(key))
                     at = self.places.get(pose)
                     if at is not None:

@@ -5,13 +5,12 @@ While the map is solved and put together a core is idle: the libraries are impor
 
 import os
 import pickle
-import subprocess
-import sys
 from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, Self
 
 from incremental_mapper.errors import MapperError
+from incremental_mapper.helper_process import Helper, start, streams
 from incremental_mapper.trajectory import Trajectory
 from incremental_mapper.visualization.extras import importable, installed
 
@@ -23,7 +22,7 @@ class ReportProcess:
     """
 
     def __init__(self) -> None:
-        self._process: subprocess.Popen[bytes] | None = None
+        self._process: Helper | None = None
         self._wanted: tuple[Path, Trajectory | None] | None = None
 
     def __enter__(self) -> Self:
@@ -43,13 +42,7 @@ class ReportProcess:
         """A page will be wanted soon."""
         possible = installed('report.html') and installed('pictures')
         if self._process is None and possible and (os.cpu_count() or 1) > 1:
-            # In a session of its own, so that Ctrl-C reaches the caller alone, which then ends it.
-            self._process = subprocess.Popen(
-                [sys.executable, '-m', 'incremental_mapper.evaluation.report.report_process'],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                start_new_session=True,
-            )
+            self._process = start('incremental_mapper.evaluation.report.report_process')
 
     def begin(self, folder: Path, truth: Trajectory | None) -> None:
         """Begin to write.
@@ -113,10 +106,8 @@ def serve(requests: BinaryIO, answers: BinaryIO) -> None:
 
 
 def main() -> None:
-    """Serve on the standard streams; what libraries print goes to stderr."""
-    answers = os.fdopen(os.dup(sys.stdout.fileno()), 'wb')
-    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
-    serve(sys.stdin.buffer, answers)
+    """Serve on the standard streams."""
+    serve(*streams())
 
 
 if __name__ == '__main__':
