@@ -19,7 +19,8 @@ def search_little() -> None:
 
 def search_all() -> None:
     """Look at everything: a map that was let go is large, and may hold itself in cycles."""
-    gc.unfreeze()
+    if _after_search in gc.callbacks:
+        gc.unfreeze()
     gc.collect()
 
 

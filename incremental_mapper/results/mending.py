@@ -1,6 +1,5 @@
 """Mapping anew where the data of a drive prove a setting wrong."""
 
-import gc
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Protocol, TypeVar
@@ -8,6 +7,7 @@ from typing import Protocol, TypeVar
 from incremental_mapper.checks.finding import Finding
 from incremental_mapper.checks.fix_shape import without_consequences
 from incremental_mapper.datasets.open import open_source
+from incremental_mapper.garbage import search_all, set_aside
 from incremental_mapper.mapping.result import MapResult
 from incremental_mapper.results.opened_drive import Drive, effective_config
 from incremental_mapper.settings import merge
@@ -53,7 +53,8 @@ def mending(drive: Drive, attempt: Callable[[Drive, bool], AnyRun]) -> AnyRun:
             found += better
         drive = _mended(begun, found)
         # The map so far hangs on the frames that raised: without this the next one comes on top.
-        gc.collect()
+        search_all()
+        set_aside()
     return attempt(drive, False)
 
 
