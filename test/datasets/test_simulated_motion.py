@@ -11,7 +11,7 @@ from incremental_mapper.datasets.simulated.imu import (
     measured_samples,
     true_samples,
 )
-from incremental_mapper.datasets.simulated.lidar import COLUMN, SPIN, Lidar, RayCaster
+from incremental_mapper.datasets.simulated.lidar import COLUMNS, SPIN, TURN, Lidar, RayCaster
 from incremental_mapper.datasets.simulated.options import (
     MotionKind,
     SceneKind,
@@ -142,7 +142,7 @@ def test_points_lie_on_the_scene(kind):
     last = phase - SPIN * end
     turns = np.round((azimuth[-1] - last) / (2.0 * np.pi))
     times = (phase - azimuth + 2.0 * np.pi * turns) / SPIN
-    assert end - 0.1 < times.min() and times.max() <= end + COLUMN
+    assert end - TURN < times.min() and times.max() <= end + TURN / COLUMNS
 
     def world(at):
         position, rotation = drive.poses(at)

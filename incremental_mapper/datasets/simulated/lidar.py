@@ -1,4 +1,7 @@
-"""A simulated VLP-16: rays against the scene's mesh, every column fired at its own time."""
+"""A simulated spinning LiDAR, a VLP-16 unless told otherwise: rays against the scene's mesh.
+
+Every column is fired at its own time.
+"""
 
 from types import ModuleType
 
@@ -16,8 +19,8 @@ SPIN = 2.0 * np.pi * 10.0
 """Angular speed of the head, rad/s."""
 COLUMNS = 1320
 """Columns of a sweep, 0.27 degrees apart; so a scan has the 14 600 points of a KAIST one."""
-COLUMN = 0.1 / COLUMNS
-"""Seconds between two columns."""
+TURN = 0.1
+"""Seconds of a sweep."""
 ELEVATIONS = np.radians([-15, 1, -13, 3, -11, 5, -9, 7, -7, 9, -5, 11, -3, 13, -1, 15])
 """Elevations in the order in which the lasers of a column fire, radians."""
 MAX_RANGE = 100.0
@@ -73,9 +76,22 @@ class RayCaster:
 
 
 class Lidar:
-    """One VLP-16 at ``T_base_lidar`` (4, 4) on the car."""
+    """One LiDAR at ``T_base_lidar`` (4, 4) on the car.
 
-    def __init__(self, caster: RayCaster, drive: Drive, T_base_lidar: Array, phase: float) -> None:
+    ``elevations`` (B,), radians, are those of its lasers, ``columns`` what a turn is cut into.
+    """
+
+    def __init__(
+        self,
+        caster: RayCaster,
+        drive: Drive,
+        T_base_lidar: Array,
+        phase: float,
+        elevations: Array = ELEVATIONS,
+        columns: int = COLUMNS,
+    ) -> None:
+        self._elevations = elevations
+        self._since_end = TURN / columns * np.arange(columns - 1.0, -1.0, -1.0)
         self._caster = caster
         self._drive = drive
         self._arm = T_base_lidar[:3, 3]
@@ -85,18 +101,27 @@ class Lidar:
     def sweep(self, end: float, rng: np.random.Generator) -> NDArray[np.float32]:
         """The sweep that ends at time ``end`` (s): x, y, z, reflectance (N, 4).
 
+        See ``timed_sweep``.
+        """
+        return self.timed_sweep(end, rng)[0]
+
+    def timed_sweep(
+        self, end: float, rng: np.random.Generator
+    ) -> tuple[NDArray[np.float32], Array]:
+        """The sweep that ends at time ``end`` (s), and when its points (N,) were fired, seconds.
+
         A point is in the sensor's frame at the moment at which it was fired, so the motion of
         the car distorts the cloud. Points are in the order of firing. Nothing of the car itself
         is in the way.
         """
-        times = end - COLUMN * np.arange(COLUMNS - 1.0, -1.0, -1.0)
+        times = end - self._since_end
         rays = self._rays(times)
         position, rotation = self._drive.poses(times)
-        origins = position + rotation.apply(np.tile(self._arm, (COLUMNS, 1)))
+        origins = position + rotation.apply(np.tile(self._arm, (len(times), 1)))
         matrices = (rotation * self._turn).as_matrix()
         directions = np.einsum('cij,crj->cri', matrices, rays).reshape(-1, 3)
         distance, cosine, reflectivity = self._caster.cast(
-            np.repeat(origins, len(ELEVATIONS), axis=0), directions
+            np.repeat(origins, len(self._elevations), axis=0), directions
         )
         seen = distance < MAX_RANGE
         # Echoes at grazing angles and of dark, distant surfaces are too weak to be detected.
@@ -109,13 +134,14 @@ class Lidar:
         shine = 100.0 * reflectivity[seen] * np.sqrt(cosine[seen])
         reflectance = np.round(np.clip(shine + rng.normal(scale=2.0, size=len(shine)), 0.0, 255.0))
         points = rays.reshape(-1, 3)[seen] * ranges[:, None]
-        return np.column_stack([points, reflectance]).astype(np.float32)
+        fired = np.repeat(times, len(self._elevations))[seen]
+        return np.column_stack([points, reflectance]).astype(np.float32), fired
 
     def _rays(self, times: Array) -> Array:
         """Unit directions (columns, lasers, 3) in the sensor's frame; the head turns clockwise."""
         azimuth = self._phase - SPIN * times
         level = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1)
-        rays = np.empty((len(times), len(ELEVATIONS), 3))
-        rays[..., :2] = level[:, None, :] * np.cos(ELEVATIONS)[None, :, None]
-        rays[..., 2] = np.sin(ELEVATIONS)
+        rays = np.empty((len(times), len(self._elevations), 3))
+        rays[..., :2] = level[:, None, :] * np.cos(self._elevations)[None, :, None]
+        rays[..., 2] = np.sin(self._elevations)
         return rays
