@@ -1,12 +1,18 @@
 """A Python process of our own that is asked on its standard input and answers on its output."""
 
+import fcntl
 import os
 import subprocess
 import sys
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import BinaryIO, TypeAlias
 
 Helper: TypeAlias = 'subprocess.Popen[bytes]'
+
+ROOM = 1 << 20
+"""Bytes that a pipe holds, the most that Linux grants everybody. Where an answer fits, whoever
+gives it can go on before it is taken; by default that is 64 KiB."""
 
 
 def start(module: str, surroundings: Mapping[str, str] | None = None) -> Helper:
@@ -17,13 +23,18 @@ def start(module: str, surroundings: Mapping[str, str] | None = None) -> Helper:
         surroundings: Further variables of its environment.
     """
     # In a session of its own, so that Ctrl-C reaches the caller alone, which then ends it.
-    return subprocess.Popen(
+    process = subprocess.Popen(
         [sys.executable, '-m', module],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         env={**os.environ, **(surroundings or {})},
         start_new_session=True,
     )
+    for pipe in (process.stdin, process.stdout):
+        assert pipe is not None
+        with suppress(OSError, AttributeError):  # no room is left, or it is not Linux
+            fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, ROOM)
+    return process
 
 
 def streams() -> tuple[BinaryIO, BinaryIO]:

@@ -64,9 +64,11 @@ class ProcessStation:
         self._name, self._config, self._notes = name, config, notes
         self._here: ScanPreparer | None = None
         self._process = scan_server()
-        # One thread waits for the process; a scan is sent once the one before it is done.
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix=f'scans_{name}')
-        self._thread.submit(self._send, (name, config))
+        # One thread sends and another takes answers, so that the next scan is there when the
+        # process is done with one.
+        self._sender = ThreadPoolExecutor(1, thread_name_prefix=f'to_{name}')
+        self._receiver = ThreadPoolExecutor(1, thread_name_prefix=f'from_{name}')
+        self._sender.submit(self._send, (name, config))
 
     @property
     def pid(self) -> int:
@@ -75,26 +77,29 @@ class ProcessStation:
 
     def submit(self, scan: LidarScan, imu: ImuSeries = EMPTY_SERIES) -> 'Future[PreparedScan]':
         """See ScanStation."""
-        return self._thread.submit(self._exchange, scan, imu)
+        self._sender.submit(self._send, (scan, imu))
+        return self._receiver.submit(self._receive, scan, imu)
 
     def close(self) -> None:
         """See ScanStation."""
-        self._thread.shutdown(wait=False, cancel_futures=True)
+        for thread in (self._sender, self._receiver):
+            thread.shutdown(wait=False, cancel_futures=True)
         self._process.kill()
         self._process.wait()
 
     def _send(self, item: Any) -> None:
         assert self._process.stdin is not None
+        if self._here is not None:
+            return
         try:
             pickle.dump(item, self._process.stdin, protocol=pickle.HIGHEST_PROTOCOL)
             self._process.stdin.flush()
-        except OSError:
-            pass  # no answer will come, which is noticed there
+        except (OSError, ValueError):
+            pass  # it has ended or was closed: no answer will come, which is noticed there
 
-    def _exchange(self, scan: LidarScan, imu: ImuSeries) -> PreparedScan:
+    def _receive(self, scan: LidarScan, imu: ImuSeries) -> PreparedScan:
         assert self._process.stdout is not None
         if self._here is None:
-            self._send((scan, imu))
             try:
                 result, notes = pickle.load(self._process.stdout)
             except ENDED:
