@@ -1,6 +1,7 @@
 """When each point of a cloud was measured: unit and origin of its time field."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +26,10 @@ _MAX_SWEEP = 0.5
 # Times that are nearer to zero than this many seconds count from the header stamp.
 _MAX_RELATIVE = 1.0
 # The share of times at either end that may be absurd, and how far the others reach beyond the
-# rest, in spans of it: a sweep of constant speed reaches 0.06.
+# rest, in spans of it: a sweep of constant speed reaches 0.06. So many times tell the span.
 _ABSURD_SHARE = 0.05
 _REACH = 1.0
+_ABSURD_SAMPLE = 10_000
 # Where the largest gap between times is more than this share of their span, they are not those of
 # one sweep; a sweep without half of its turn has no gap, for nothing is measured meanwhile.
 _GAP = 0.6
@@ -64,21 +66,26 @@ def point_times(table: NDArray[np.void], stamp: int, points: Points) -> PointTim
         return PointTimes(None, 'no time of the points')
     values = table[name].astype(np.float64)
     # Points without a return often carry a time of zero; they say nothing about the sweep.
-    usable = np.isfinite(points).all(axis=1) & points.any(axis=1) & np.isfinite(values)
+    with np.errstate(over='ignore', invalid='ignore'):  # signalling NaNs
+        distance = np.abs(points[:, 0]) + np.abs(points[:, 1]) + np.abs(points[:, 2])
+    usable = np.isfinite(distance) & (distance > 0.0) & np.isfinite(values)
     if not usable.any():
         return _unusable(f'field {name!r} holds no usable time')
     values, remarks = _without_absurd(name, values, usable)
-    usable &= np.isfinite(values)
+    if remarks:
+        usable &= np.isfinite(values)
     values, apart = _without_gap(values, usable)
-    usable &= np.isfinite(values)
+    if apart:
+        usable &= np.isfinite(values)
     if apart > _MOST_APART:
         return _unusable(f'field {name!r} falls into two parts, which is no sweep')
     if apart and not remarks:
         text = f'field {name!r}: {apart:.0%} of the times lie apart; these points are left out'
         remarks = (Remark('absurd_times', text),)
-    if _noise(values[usable], points[usable]):
+    times = _of(values, usable)
+    if _noise(times, points, usable):
         return _unusable(f'field {name!r} is noise: neighbours in the cloud have any times')
-    low, high = float(values[usable].min()), float(values[usable].max())
+    low, high = float(times.min()), float(times.max())
     if low == high:
         return _unusable(f'field {name!r} is constant, points are not de-skewed')
     unit = next((u for u, s in _UNITS.items() if _MIN_SWEEP < (high - low) * s <= _MAX_SWEEP), None)
@@ -100,11 +107,16 @@ def point_times(table: NDArray[np.void], stamp: int, points: Points) -> PointTim
     )
 
 
+def _of(values: NDArray[Any], usable: NDArray[np.bool_]) -> NDArray[Any]:
+    """The usable ones of (N, ...) values, where most often all are: then nothing is copied."""
+    return values if usable.all() else values[usable]
+
+
 def _without_gap(
     values: NDArray[np.float64], usable: NDArray[np.bool_]
 ) -> tuple[NDArray[np.float64], float]:
     """Times with NaN for the smaller side of a gap that no sweep has, and that side's share."""
-    times = values[usable]
+    times = _of(values, usable)
     if len(times) < _GAP_POINTS:
         return values, 0.0
     sample = np.sort(times[:: max(len(times) // _GAP_SAMPLE, 1)])
@@ -117,8 +129,10 @@ def _without_gap(
     return np.where(smaller, np.nan, values), float(smaller[usable].mean())
 
 
-def _noise(times: NDArray[np.float64], points: Points) -> bool:
+def _noise(times: NDArray[np.float64], points: Points, usable: NDArray[np.bool_]) -> bool:
     """Whether times have nothing to do with the order of the points, nor with their directions.
+
+    ``times`` are those of the usable points.
 
     A cloud that somebody shuffled has them in no order, but neighbours by direction still agree.
     """
@@ -128,7 +142,8 @@ def _noise(times: NDArray[np.float64], points: Points) -> bool:
     limit = _NOISE * span
     if float(np.abs(np.diff(times[:_NOISE_POINTS])).mean()) < limit:
         return False
-    around = np.argsort(np.arctan2(points[:, 1], points[:, 0]))
+    seen = _of(points, usable)
+    around = np.argsort(np.arctan2(seen[:, 1], seen[:, 0]))
     return float(np.abs(np.diff(times[around])).mean()) >= limit
 
 
@@ -140,12 +155,15 @@ def _without_absurd(
     name: str, values: NDArray[np.float64], usable: NDArray[np.bool_]
 ) -> tuple[NDArray[np.float64], tuple[Remark, ...]]:
     """Point times with NaN for the few that lie far off the others, which make up the sweep."""
-    early, late = np.quantile(values[usable], [_ABSURD_SHARE, 1.0 - _ABSURD_SHARE])
+    times = _of(values, usable)
+    sample = times[:: max(len(times) // _ABSURD_SAMPLE, 1)]
+    early, late = np.quantile(sample, [_ABSURD_SHARE, 1.0 - _ABSURD_SHARE])
     reach = _REACH * (late - early)
-    absurd = usable & ((values < early - reach) | (values > late + reach))
+    low, high = early - reach, late + reach
     # Without a span there is nothing to measure by; the time is constant, or next to it.
-    if reach == 0.0 or not absurd.any():
+    if reach == 0.0 or (low <= times.min() and times.max() <= high):
         return values, ()
+    absurd = usable & ((values < low) | (values > high))
     text = (
         f'field {name!r}: {int(absurd.sum())} of {int(usable.sum())} points have times far from '
         'all others, such as '

@@ -10,9 +10,8 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from incremental_mapper.compiled import kernel
 from incremental_mapper.measurements import LidarScan
-from incremental_mapper.voxels import voxel_means
+from incremental_mapper.voxels import means_within, voxel_means
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,8 +102,7 @@ def to_base(
     further = np.array(known, dtype=np.float32).reshape(len(known), len(scan.points))
     # A float32 resolves 80 m to 8 um, the sensor resolves 2 mm.
     matrix = T_base_lidar.astype(np.float32)
-    rows = _within(scan.points, further, matrix, float(min_range) ** 2, float(max_range) ** 2)
-    means = voxel_means(rows, voxel_size)
+    means = means_within(scan.points, further, matrix, (min_range, max_range), voxel_size)
     return Sweep(
         scan.stamp,
         scan.sensor,
@@ -129,29 +127,3 @@ def warm_up() -> None:
     point = np.ones((1, 3), dtype=np.float32)
     sweep = to_base(LidarScan(0, '', point), np.eye(4), 0.0, 10.0, 1.0)
     voxel_means(sweep.rows, 1.0)
-
-
-@kernel
-def _within(
-    points: NDArray[np.float32],
-    further: NDArray[np.float32],
-    matrix: NDArray[np.float32],
-    nearest: float,
-    furthest: float,
-) -> NDArray[np.float32]:
-    """Points (N, 3) within range, moved, and what else is known (K, N) of them: (3 + K, M).
-
-    ``nearest`` and ``furthest`` are squares of ranges, ``matrix`` is T_base_lidar.
-    """
-    rows = np.empty((3 + len(further), len(points)), dtype=np.float32)
-    column = 0
-    for i in range(len(points)):
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        if nearest <= x * x + y * y + z * z <= furthest:
-            for k in range(3):
-                moved = matrix[k, 0] * x + matrix[k, 1] * y + matrix[k, 2] * z
-                rows[k, column] = moved + matrix[k, 3]
-            for k in range(len(further)):
-                rows[3 + k, column] = further[k, i]
-            column += 1
-    return rows[:, :column].copy()
