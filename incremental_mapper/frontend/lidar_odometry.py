@@ -109,9 +109,16 @@ class ScanPreparer:
         Raises:
             MeasurementError: No point is in range, or the points are in hardly any place.
         """
+        return self.match(self.thinned(scan), imu)
+
+    def thinned(self, scan: LidarScan) -> Sweep:
+        """The points in range, thinned, for ``match``; knows nothing of the scans before.
+
+        Args:
+            scan: As the message has it.
+        """
         odometry = self._odometry
-        self._chain.take(imu)
-        sweep = to_base(
+        return to_base(
             scan,
             self._T_base_lidar,
             odometry.min_range,
@@ -119,15 +126,23 @@ class ScanPreparer:
             self._voxel,
             odometry.deskew,
         )
+
+    def match(self, sweep: Sweep, imu: ImuSeries = EMPTY_SERIES) -> PreparedScan:
+        """See ``prepare``, with what ``thinned`` has made of the scan.
+
+        Raises:
+            MeasurementError: No point is in range, or the points are in hardly any place.
+        """
+        self._chain.take(imu)
         if len(sweep) == 0:
             raise MeasurementError(
-                'no_points_in_range', f'{scan.sensor} at {scan.stamp}: no point within range'
+                'no_points_in_range', f'{sweep.sensor} at {sweep.stamp}: no point within range'
             )
         if len(sweep) < FEWEST_PLACES:
             raise MeasurementError(
                 'too_few_points',
-                f'{scan.sensor} at {scan.stamp}: {len(scan.points)} points in {len(sweep)} places '
-                f'within range, {FEWEST_PLACES} are the least',
+                f'{sweep.sensor} at {sweep.stamp}: points in {len(sweep)} places within range, '
+                f'{FEWEST_PLACES} are the least',
             )
         link = self._chain.add(sweep)
         rows = link.points.T
@@ -136,7 +151,7 @@ class ScanPreparer:
         if self._map_voxel > self._voxel:
             rows = voxel_means(rows, self._map_voxel)
         return PreparedScan(
-            core=CoreMeasurement(scan.stamp, scan.sensor, CoreKind.LIDAR),
+            core=CoreMeasurement(sweep.stamp, sweep.sensor, CoreKind.LIDAR),
             thinned=rows.T.astype(np.float32, order='C'),
             sparse=thin(rows[:3].T, self._sparse_voxel),
             previous=link.previous,

@@ -14,7 +14,7 @@ from incremental_mapper.config import Config
 from incremental_mapper.errors import MeasurementError
 from incremental_mapper.frontend.imu_preintegration import EMPTY_SERIES, ImuSeries
 from incremental_mapper.frontend.lidar_odometry import PreparedScan, ScanPreparer
-from incremental_mapper.frontend.preprocessing import warm_up
+from incremental_mapper.frontend.preprocessing import Sweep, warm_up
 from incremental_mapper.frontend.scan_servers import scan_server
 from incremental_mapper.helper_process import streams
 from incremental_mapper.measurements import LidarScan
@@ -126,15 +126,24 @@ def _answer(requests: BinaryIO, answers: BinaryIO) -> None:
     name, config = pickle.load(requests)
     notes: Counter[str] = Counter()
     preparer = ScanPreparer(name, config, notes)
-    while True:
+
+    def read() -> tuple[Sweep, ImuSeries]:
         scan, imu = pickle.load(requests)
-        try:
-            result: object = preparer.prepare(scan, imu)
-        except MeasurementError as error:
-            result = (error.reason, str(error))
-        pickle.dump((result, dict(notes)), answers, protocol=pickle.HIGHEST_PROTOCOL)
-        answers.flush()
-        notes.clear()
+        return preparer.thinned(scan), imu
+
+    # The next scan is read and thinned while one is matched: the kernels hold no lock.
+    with ThreadPoolExecutor(1) as ahead:
+        coming = ahead.submit(read)
+        while True:
+            sweep, imu = coming.result()
+            coming = ahead.submit(read)
+            try:
+                result: object = preparer.match(sweep, imu)
+            except MeasurementError as error:
+                result = (error.reason, str(error))
+            pickle.dump((result, dict(notes)), answers, protocol=pickle.HIGHEST_PROTOCOL)
+            answers.flush()
+            notes.clear()
 
 
 def main() -> None:
