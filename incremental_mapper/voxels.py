@@ -89,7 +89,7 @@ def _means(
     matrix: NDArray[np.floating],
     nearest: float,
     furthest: float,
-    inverse: float,
+    inverse: np.floating,
 ) -> NDArray[np.float64]:
     """See means_within: rows (3, N), squares of ranges, 1 / voxel_size in the rows' precision.
 
@@ -130,7 +130,7 @@ def _sum_up(
     matrix: NDArray[np.floating],
     nearest: float,
     furthest: float,
-    inverse: float,
+    inverse: np.floating,
     table: NDArray[np.int32],
     cells: NDArray[np.int64],
     sums: NDArray[np.float64],

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 import small_gicp
 from driven_room import room
+from scipy.spatial.transform import Rotation
 
-from incremental_mapper.voxels import thin, voxel_means
+from incremental_mapper.voxels import ROOM, means_within, thin, voxel_means
 
 
 @pytest.mark.parametrize('scale', [1.0, 1e3, 1e7], ids=['few', 'many', 'too_many_to_number'])
@@ -37,3 +38,30 @@ def test_voxels_come_in_the_order_of_their_last_points(far):
 
 def test_nothing_is_thinned_to_nothing():
     assert thin(np.zeros((0, 3)), 0.5).shape == (0, 3)
+
+
+def test_more_voxels_than_there_is_room_for_at_first_are_all_kept():
+    side = np.arange(-20.0, 20.0)
+    points = np.stack(np.meshgrid(side, side, side), axis=-1).reshape(-1, 3) + 0.5
+    points = np.random.default_rng(2).permutation(np.vstack([points, points]))
+    assert len(points) // 2 > 4 * ROOM
+    _, last = np.unique(points[::-1], axis=0, return_index=True)
+    expected = points[np.sort(len(points) - 1 - last)]
+    assert np.array_equal(thin(points, 1.0), expected)
+
+
+def test_points_within_range_are_moved_before_they_are_thinned():
+    rng = np.random.default_rng(4)
+    points = np.vstack([room(3000), [[np.nan, 0.0, 0.0], [0.0, 0.0, np.inf]]]).astype(np.float32)
+    further = rng.uniform(0.0, 1.0, (2, len(points))).astype(np.float32)
+    turn = Rotation.from_rotvec([0.1, -0.4, 1.2]).as_matrix()
+    matrix = np.eye(4, dtype=np.float32)
+    matrix[:3] = np.column_stack([turn, [3.0, -1.0, 0.5]])
+    distance = np.linalg.norm(points, axis=1)
+    near, far = np.nanquantile(distance[np.isfinite(distance)], [0.2, 0.8])
+    kept = (distance >= near) & (distance <= far)
+    moved = points[kept].astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+    expected = voxel_means(np.vstack([moved.T, further[:, kept]]), 0.7)
+    found = means_within(points, further, matrix, (near, far), 0.7)
+    assert found.shape == expected.shape
+    assert found == pytest.approx(expected, abs=1e-5)

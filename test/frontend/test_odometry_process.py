@@ -100,6 +100,17 @@ def test_process_that_dies_is_replaced_by_this_one(station, opened):
     assert notes == {'left: its process ended, scans are prepared here': 1}
 
 
+def test_scans_that_a_process_had_when_it_died_are_prepared_here(station, opened):
+    made, _, notes = station
+    scans = left_scans(opened(True)[0], 8)
+    futures = [made.submit(scan) for scan in scans]
+    os.kill(made.pid, signal.SIGKILL)
+    found = [future.result(timeout=60) for future in futures]
+    assert [item.core.stamp for item in found] == [scan.stamp for scan in scans]
+    assert [item.previous for item in found].count(None) <= 2  # the first, and the first one here
+    assert notes == {'left: its process ended, scans are prepared here': 1}
+
+
 def test_processes_end_with_the_mapper(opened):
     source, config = opened(True)
     mapper = Mapper(config, list(source.info.counts))
