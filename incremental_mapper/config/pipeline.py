@@ -186,7 +186,8 @@ class GraphSettings(Section):
     prior_sigma_level: Sigma = 0.02
     """First pose, roll and pitch, radians."""
     prior_sigma_yaw: Sigma = 0.3
-    """First pose, yaw, radians."""
+    """First pose, yaw, radians, once fixes have turned the map. Before, its axes go by that pose,
+    which is held as well as it is level."""
     prior_sigma_velocity: Sigma = 10.0
     """First velocity, m/s."""
     prior_sigma_accelerometer_bias: Sigma = 0.05

@@ -8,7 +8,7 @@ rows by elevation, columns by azimuth, which is guessed for inputs that do not s
 """
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -23,41 +23,29 @@ from evalio._cpp.helpers import (  # what its own loaders use: points one by one
     pc2_to_evalio,
 )
 from evalio.datasets import Dataset, DatasetIterator
-from evalio.pipelines import Pipeline
 from evalio.types import (
     SE3,
     ImuMeasurement,
     ImuParams,
     LidarMeasurement,
     LidarParams,
-    Point,
-    Stamp,
     Trajectory,
 )
 
-from incremental_mapper import __version__
-from incremental_mapper.config import Config, Tree
+from incremental_mapper.config import Config
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.datasets.source import Source
 from incremental_mapper.errors import InputError
-from incremental_mapper.mapping.mapper import Mapper
-from incremental_mapper.mapping.result import WindowResult
-from incremental_mapper.measurements import (
-    NANOSECONDS,
-    ImuSample,
-    LidarScan,
-    make_imu,
-    make_scan,
-)
+from incremental_mapper.evaluation.evalio_pipeline import IncrementalMapper, stamp_of
+from incremental_mapper.measurements import NANOSECONDS, ImuSample, LidarScan
 from incremental_mapper.results.lidar_shape import lidar_shape
 from incremental_mapper.results.opened_drive import effective_config
-from incremental_mapper.settings import make_config, merge, read_yaml, to_tree
+from incremental_mapper.settings import read_yaml
+
+__all__ = ['IncrementalMapper', 'MapperInputs']  # evalio looks for both in this module
 
 INPUTS = 'EVALIO_MAPPER_INPUTS'
 """Environment variable with the inputs, NAME=PATH or NAME=PATH=SETTINGS, separated as in PATH."""
-LIDAR, IMU = 'lidar', 'imu'
-CORES: Tree = {'odometry': {'processes': False}}
-"""Others run in one process too."""
 COLUMNS = 1800
 Place: TypeAlias = tuple[Path, Path | None]
 """An input, and a file of settings for it."""
@@ -85,101 +73,6 @@ class Opened:
     rate: float
 
 
-class IncrementalMapper(Pipeline):  # type: ignore[misc]
-    """The mapper; parameters are all settings that are one value, by their dotted names."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._params = self.default_params()
-        self._sensors: Tree = {}
-        self._mapper: Mapper | None = None
-        self._imu = False
-
-    @staticmethod
-    def name() -> str:
-        """Name of the pipeline."""
-        return 'incremental_mapper'
-
-    @staticmethod
-    def version() -> str:
-        """Version of this package."""
-        return __version__
-
-    @staticmethod
-    def url() -> str:
-        """Where it comes from."""
-        return 'https://pypi.org/project/incremental-mapper'
-
-    @staticmethod
-    def default_params() -> dict[str, bool | int | float | str]:
-        """All settings that are one value."""
-        return flat_settings(to_tree(make_config(CORES, 'evalio')))
-
-    def set_params(self, params: Mapping[str, Any]) -> dict[str, Any]:
-        """Set some; returns those that are unknown."""
-        known = {name: value for name, value in params.items() if name in self._params}
-        self._params |= known
-        return {name: value for name, value in params.items() if name not in known}
-
-    def set_imu_params(self, params: ImuParams) -> None:
-        """Take over the noise of the IMU, where a data set tells it."""
-        noise = {
-            'accelerometer_noise': params.accel,
-            'gyroscope_noise': params.gyro,
-            'accelerometer_bias_walk': params.accel_bias,
-            'gyroscope_bias_walk': params.gyro_bias,
-        }
-        self._sensors = merge(self._sensors, {'preintegration': noise})
-
-    def set_lidar_params(self, params: LidarParams) -> None:
-        """Nothing depends on them."""
-
-    def set_imu_T_lidar(self, T: SE3) -> None:  # noqa: N802, N803 (evalio's names)
-        """Take over where the LiDAR is."""
-        place = np.array(T.to_mat())[:3].ravel().tolist()
-        lidars = {'names': [LIDAR], LIDAR: {'T_base_sensor': place}}
-        identity = np.eye(4)[:3].ravel().tolist()
-        self._sensors = merge(self._sensors, {'lidars': lidars, 'imu': {'T_base_sensor': identity}})
-
-    def set_visualizing(self, visualize: Any) -> None:
-        """Evalio's view shows the poses; for more there is ``map --view``."""
-
-    def initialize(self) -> None:
-        """Nothing is made before the parameters are known."""
-
-    def map(self) -> dict[str, list[Point]]:
-        """None is handed over."""
-        return {}
-
-    def add_imu(self, mm: ImuMeasurement) -> None:
-        """Map a sample."""
-        self._imu = True
-        self._push(make_imu(_nanoseconds(mm.stamp), IMU, np.array(mm.gyro), np.array(mm.accel)))
-
-    def add_lidar(self, mm: LidarMeasurement) -> None:
-        """Map a sweep."""
-        points = np.array(mm.to_vec_positions(), dtype=np.float64).reshape(-1, 3)
-        times = np.array(mm.to_vec_stamps(), dtype=np.float64)
-        stamp = _nanoseconds(mm.stamp)
-        self._push(make_scan(stamp, LIDAR, points, times if np.ptp(times) > 0.0 else None))
-
-    def _push(self, measurement: ImuSample | LidarScan) -> None:
-        if self._mapper is None:
-            tree = merge(nested_settings(self._params), self._sensors)
-            config = make_config(tree, 'evalio')
-            self._mapper = Mapper(config, [LIDAR, IMU] if self._imu else [LIDAR])
-        for window in self._mapper.push(measurement):
-            self._save(window)
-
-    def _save(self, window: WindowResult) -> None:
-        for placed, pose in zip(window.clusters, window.poses, strict=True):
-            self.save(_stamp(placed.cluster.stamp), SE3.from_mat(pose.matrix()))
-        if window.joined and self._mapper is not None:
-            # While the vehicle stands its newest pose holds at the end of each window.
-            pose = self._mapper.state.pose(self._mapper.state.clusters[-1].id)
-            self.save(_stamp(window.end), SE3.from_mat(pose.matrix()))
-
-
 class _Measurements(DatasetIterator):  # type: ignore[misc]
     """An input as evalio goes through it."""
 
@@ -200,7 +93,7 @@ class _Measurements(DatasetIterator):  # type: ignore[misc]
         turn = opened.config.imu.matrix()[:3, :3]  # samples go along the axes of base_link
         for item in opened.source.measurements():
             if isinstance(item, ImuSample):
-                stamp = _stamp(item.stamp)
+                stamp = stamp_of(item.stamp)
                 yield ImuMeasurement(stamp, turn @ item.gyro, turn @ item.acceleration)
             elif isinstance(item, LidarScan) and item.sensor == opened.lidar:
                 yield organised(item, opened.rows)
@@ -229,7 +122,7 @@ class _Sequence(Dataset):  # type: ignore[misc]
         if truth is None:
             return None
         poses = [SE3.from_mat(pose) for pose in truth.matrices()]
-        return Trajectory(stamps=[_stamp(int(stamp)) for stamp in truth.stamps], poses=poses)
+        return Trajectory(stamps=[stamp_of(int(stamp)) for stamp in truth.stamps], poses=poses)
 
     def imu_T_lidar(self) -> SE3:  # noqa: N802 (evalio's name)
         """Where the LiDAR is on base_link, along whose axes the samples are."""
@@ -289,32 +182,6 @@ MapperInputs: Any = (
 """The data set of the inputs that the environment names."""
 
 
-def flat_settings(tree: Tree, before: str = '') -> dict[str, bool | int | float | str]:
-    """Settings that are one value, by their dotted names.
-
-    Args:
-        tree: Nested settings.
-        before: What stands before their names.
-    """
-    found: dict[str, bool | int | float | str] = {}
-    for key, value in tree.items():
-        if isinstance(value, Mapping):
-            found |= flat_settings(dict(value), f'{before}{key}.') if key != 'lidars' else {}
-        elif isinstance(value, (bool, int, float, str)):
-            found[before + key] = value
-    return found
-
-
-def nested_settings(flat: Mapping[str, Any]) -> Tree:
-    """Settings by dotted names as a settings file has them."""
-    tree: Tree = {}
-    for name, value in flat.items():
-        for part in reversed(name.split('.')):
-            value = {part: value}
-        tree = merge(tree, value)
-    return tree
-
-
 def organised(scan: LidarScan, rows: int) -> LidarMeasurement:
     """A sweep as evalio has them: row by row, at the stamp of its first point.
 
@@ -341,7 +208,7 @@ def organised(scan: LidarScan, rows: int) -> LidarMeasurement:
     table['range'][cells] = (1000.0 * ranges[order]).astype(np.uint32)
     table['row'] = np.repeat(np.arange(rows), COLUMNS)
     cloud = PointCloudMetadata(
-        stamp=_stamp(scan.stamp + round(first * NANOSECONDS)),
+        stamp=stamp_of(scan.stamp + round(first * NANOSECONDS)),
         width=len(table),
         height=1,
         point_step=_CELL.itemsize,
@@ -375,12 +242,3 @@ def _opened(place: Place) -> Opened:
     rate = (len(scans) - 1) / span if span > 0.0 else 10.0
     config = effective_config(source, tree, 'evalio')
     return Opened(source, config, lidar, max(shape.beams if shape else 16, 16), rate)
-
-
-def _nanoseconds(stamp: Stamp) -> int:
-    return int(stamp.sec) * NANOSECONDS + int(stamp.nsec)
-
-
-def _stamp(nanoseconds: int) -> Stamp:
-    seconds, rest = divmod(nanoseconds, NANOSECONDS)
-    return Stamp(sec=seconds, nsec=rest)

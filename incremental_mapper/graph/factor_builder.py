@@ -234,12 +234,14 @@ class FactorBuilder:
         return self._cache[key]
 
     def _first_prior(self, cluster: Cluster) -> Factor:
-        """Prior that holds the map's first pose: level well, yaw loosely."""
+        """Prior that holds the map's first pose: level well, yaw by choice.
+
+        Until fixes turn the map, its axes are those of this pose, as its origin is. Nothing else
+        says anything of the yaw: where it is held loosely, what linear factors seem to say of it
+        swings the whole map by degrees from window to window.
+        """
         graph = self._in.config.graph
-        sigmas = np.array(
-            [graph.prior_sigma_level] * 2
-            + [graph.prior_sigma_yaw]
-            + [graph.prior_sigma_position] * 3
-        )
+        yaw = min(graph.prior_sigma_yaw, graph.prior_sigma_level)
+        sigmas = np.array([graph.prior_sigma_level] * 2 + [yaw] + [graph.prior_sigma_position] * 3)
         pose = self._in.states[cluster.stamp].pose
         return pose_prior(pose_key(self._partitions.number(cluster)), pose, sigmas, cluster.stamp)

@@ -13,10 +13,10 @@ from incremental_mapper.datasets.sectors import SectorGatherer
 from incremental_mapper.datasets.sensor_settings import with_settings
 from incremental_mapper.errors import MapperError
 from incremental_mapper.garbage import set_aside
+from incremental_mapper.mapping.beginning import Beginning
 from incremental_mapper.measurements import Drops, LidarScan, Measurement
 from incremental_mapper.results.mending import MOST_MENDS
 from incremental_mapper.results.sessions.going_on import earlier_map
-from incremental_mapper.ros.beginning import Beginning
 from incremental_mapper.ros.clock_steps import step_findings
 from incremental_mapper.ros.inbox import Command, Deadline, Inbox, Order, Renewal
 from incremental_mapper.ros.left_over import LeftOver

@@ -9,8 +9,10 @@ pytest.importorskip('evalio', reason='evalio is not installed (extra "evalio")')
 
 from evalio.types import ImuMeasurement, ImuParams, LidarMeasurement, LidarParams
 
+from incremental_mapper.config import Config
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.evaluation import evalio_module as module
+from incremental_mapper.evaluation.evalio_pipeline import flat_settings, nested_settings
 from incremental_mapper.measurements import LidarScan, make_scan
 from incremental_mapper.trajectory import from_matrices, match_truth
 
@@ -25,9 +27,9 @@ def sequence(light_drive, monkeypatch):
 
 def test_settings_are_the_same_there_and_back():
     tree = {'selection': {'strategy': 'base'}, 'odometry': {'match_range': 45.0}, 'lidars': {}}
-    flat = module.flat_settings(tree)
+    flat = flat_settings(tree)
     assert flat == {'selection.strategy': 'base', 'odometry.match_range': 45.0}
-    assert module.nested_settings(flat) == {key: tree[key] for key in ('selection', 'odometry')}
+    assert nested_settings(flat) == {key: tree[key] for key in ('selection', 'odometry')}
 
 
 def test_unknown_parameters_are_handed_back_and_wrong_ones_refused():
@@ -91,3 +93,30 @@ def test_drive_gets_poses_that_follow_the_truth(light_drive, sequence):
     assert len(found) > 15
     moved, driven = (np.linalg.norm(one.positions[-1] - one.positions[0]) for one in (own, true))
     assert driven > 3.0 and abs(moved - driven) < 0.1 * driven
+
+
+def test_what_the_data_prove_wrong_is_mended_unless_it_was_chosen(sequence):
+    def mapped(**chosen):
+        pipeline = module.IncrementalMapper()
+        quick = {'odometry.match_range': 45.0, 'mom.max_points': 100}
+        pipeline.set_params(pipeline.default_params() | quick | chosen)  # as evalio does
+        pipeline.set_imu_params(sequence.imu_params())
+        pipeline.set_imu_T_lidar(sequence.imu_T_lidar())
+        found, samples = [], 0
+        for item in sequence.data_iter():
+            if not isinstance(item, ImuMeasurement):
+                pipeline.add_lidar(item)
+            else:
+                samples += 1
+                if samples % 5 == 0:  # 20 Hz
+                    pipeline.add_imu(item)
+            found += [stamp.to_nsec() for stamp, _ in pipeline.saved_estimates()]
+        return pipeline._mapper.config.preintegration, found
+
+    usual = Config().preintegration
+    noise, stamps = mapped()
+    assert noise.accelerometer_noise > 2.0 * usual.accelerometer_noise
+    assert len(stamps) > 15
+    assert stamps == sorted(set(stamps))
+    chosen = {'preintegration.accelerometer_noise': 0.011}
+    assert mapped(**chosen)[0].accelerometer_noise == 0.011

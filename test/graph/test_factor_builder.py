@@ -244,7 +244,7 @@ def test_first_window_holds_its_first_pose_level():
     candidate = merged(problem, (0, 0), (1, 1), (2, 2))
     (held,) = of_kind(problem.factors.factors(candidate), FactorKind.PRIOR_POSE)
     assert held.keys == (pose_key(problem.partitions.number(candidate.clusters[0])),)
-    assert held.data['sigmas'] == [0.03, 0.03, 0.4, 0.2, 0.2, 0.2]
+    assert held.data['sigmas'] == [0.03, 0.03, 0.03, 0.2, 0.2, 0.2]
     assert held.stamps == (40 * MS,)
     assert not of_kind(problem.factors.factors(candidate, 1), FactorKind.PRIOR_POSE)
 

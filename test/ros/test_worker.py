@@ -16,12 +16,12 @@ pytest.importorskip('rclpy', reason='rclpy is not installed (extra "ros")')
 from incremental_mapper.checks.finding import Finding, Severity
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.errors import InputError
+from incremental_mapper.mapping import beginning
 from incremental_mapper.mapping.following import PoseUpdate
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.mapping.watch import Watch
 from incremental_mapper.results.finished_run import FinishedRun
 from incremental_mapper.results.opened_drive import effective_config
-from incremental_mapper.ros import beginning
 from incremental_mapper.ros import worker as worker_module
 from incremental_mapper.ros.inbox import Command, Order, Renewal, View
 from incremental_mapper.ros.updates import (

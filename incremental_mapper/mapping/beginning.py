@@ -9,7 +9,7 @@ MOST_BYTES = 256_000_000
 
 
 class Beginning:
-    """Measurements since a map began, as they came; used in the worker's thread."""
+    """Measurements since a map began, as they came; used in one thread."""
 
     def __init__(self) -> None:
         self._kept: list[Measurement] | None = []
