@@ -6,8 +6,15 @@ starts them first, and ends those that were not needed.
 
 from incremental_mapper.helper_process import Helper, start
 
-_SINGLE = {name: '1' for name in ('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS')}
-"""The processes share the cores among themselves; their libraries' threads would only compete."""
+_SURROUNDINGS = {
+    # The processes share the cores among themselves; their libraries' threads would only compete.
+    'OMP_NUM_THREADS': '1',
+    'OPENBLAS_NUM_THREADS': '1',
+    # Memory for a cloud is kept for the next one. By default glibc gives large pieces back at once,
+    # and the pages that the next cloud gets anew cost half as much as thinning it.
+    'MALLOC_MMAP_THRESHOLD_': str(64 << 20),
+    'MALLOC_TRIM_THRESHOLD_': str(64 << 20),
+}
 
 _ahead: list[Helper] = []
 
@@ -36,4 +43,4 @@ def let_go() -> None:
 
 
 def _start() -> Helper:
-    return start('incremental_mapper.frontend.odometry_process', _SINGLE)
+    return start('incremental_mapper.frontend.odometry_process', _SURROUNDINGS)
