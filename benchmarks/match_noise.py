@@ -25,8 +25,8 @@ from scipy.stats import norm
 
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.frontend.front_end import FrontEnd
-from incremental_mapper.frontend.lidar_odometry import PreparedScan
 from incremental_mapper.frontend.match_noise import carried
+from incremental_mapper.frontend.prepared_scan import PreparedScan
 from incremental_mapper.graph.factors import pose_sigmas
 from incremental_mapper.measurements import LidarScan
 from incremental_mapper.results.opened_drive import effective_config

@@ -27,7 +27,7 @@ from kiss_icp.kiss_icp import KissICP
 
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.frontend.front_end import FrontEnd
-from incremental_mapper.frontend.lidar_odometry import PreparedScan
+from incremental_mapper.frontend.prepared_scan import PreparedScan
 from incremental_mapper.measurements import NANOSECONDS, LidarScan
 from incremental_mapper.results.opened_drive import effective_config
 from incremental_mapper.settings import merge, read_yaml

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from incremental_mapper.candidates.model import Cluster, CoreKind, CoreMeasurement
 from incremental_mapper.frontend.front_end import PreparedFix
 from incremental_mapper.frontend.imu_preintegration import ImuSeries, preintegration_parameters
-from incremental_mapper.frontend.lidar_odometry import PreparedScan
+from incremental_mapper.frontend.prepared_scan import PreparedScan
 from incremental_mapper.geometry import transform_points
 from incremental_mapper.graph.factors import bias_prior, pose_prior, pose_sigmas, velocity_prior
 from incremental_mapper.graph.frontier import Frontier

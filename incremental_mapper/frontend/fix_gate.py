@@ -33,8 +33,8 @@ from incremental_mapper.frontend.antenna_watch import AntennaWatch
 from incremental_mapper.frontend.fix_shape_watch import ShapeWatch
 from incremental_mapper.frontend.fix_tracks import MEMBERS, Entry, Track, alike, unseen
 from incremental_mapper.frontend.gnss import Datum, align_track
-from incremental_mapper.frontend.lidar_odometry import PreparedScan
 from incremental_mapper.frontend.odometry_track import OdometryTrack, Place
+from incremental_mapper.frontend.prepared_scan import PreparedScan
 from incremental_mapper.measurements import NANOSECONDS, NO_VERTICAL_SIGMA, GnssFix
 
 SETTLED = 3

@@ -13,8 +13,8 @@ from incremental_mapper.checks.fix_shape import FEWEST, Shape, metres, shape_fin
 from incremental_mapper.checks.point_unit import unit_finding, way_ratios
 from incremental_mapper.config import GnssSettings
 from incremental_mapper.frontend.fix_tracks import Entry
-from incremental_mapper.frontend.lidar_odometry import PreparedScan
 from incremental_mapper.frontend.odometry_track import OdometryTrack
+from incremental_mapper.frontend.prepared_scan import PreparedScan
 from incremental_mapper.measurements import GnssFix
 
 APART = 1.0

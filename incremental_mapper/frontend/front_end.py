@@ -17,8 +17,8 @@ from incremental_mapper.errors import MeasurementError
 from incremental_mapper.frontend.fix_gate import FixGate
 from incremental_mapper.frontend.gnss import Datum, fixed_datum
 from incremental_mapper.frontend.imu_supply import ImuSupply, sweep_end
-from incremental_mapper.frontend.lidar_odometry import PreparedScan
 from incremental_mapper.frontend.odometry_process import LocalStation, ProcessStation, ScanStation
+from incremental_mapper.frontend.prepared_scan import PreparedScan
 from incremental_mapper.measurements import (
     NANOSECONDS,
     CoreInput,

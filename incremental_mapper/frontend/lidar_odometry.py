@@ -1,4 +1,4 @@
-"""LiDAR odometry: a LiDAR's raw scans in, points in base_link with their odometry out.
+"""LiDAR odometry: a LiDAR's thinned sweeps in, each with its motion since the one before out.
 
 Each LiDAR has a chain of matched scans. The chain deskews and matches, and decides what to do
 with bad matches; it knows nothing of other sensors.
@@ -12,12 +12,10 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from incremental_mapper.candidates.model import CoreKind, CoreMeasurement
 from incremental_mapper.config import Config
-from incremental_mapper.errors import MeasurementError
 from incremental_mapper.frontend.gap_matching import LONG
 from incremental_mapper.frontend.imu_guide import ImuGuide, Momentum, squares
-from incremental_mapper.frontend.imu_preintegration import EMPTY_SERIES, ImuSeries
+from incremental_mapper.frontend.imu_preintegration import ImuSeries
 from incremental_mapper.frontend.inertial_motion import Strip
 from incremental_mapper.frontend.match_noise import WEAK, carried, weak_directions
 from incremental_mapper.frontend.preprocessing import (
@@ -26,12 +24,9 @@ from incremental_mapper.frontend.preprocessing import (
     Sweep,
     Twist,
     deskew,
-    to_base,
-    warm_up,
 )
 from incremental_mapper.frontend.registration import Match, make_matcher
-from incremental_mapper.measurements import NANOSECONDS, LidarScan
-from incremental_mapper.voxels import thin, voxel_means
+from incremental_mapper.measurements import NANOSECONDS
 
 MAX_SURPRISE = 1.5
 """Metres between two scans that a match may differ from steady motion: no car brakes like that."""
@@ -48,117 +43,6 @@ MAX_REJECTED = 3
 """After so many bad matches in a row it is the scan they were held against that was bad."""
 RESTARTS = 4
 """Rounds in which the first two scans and their motion are brought to agree."""
-FEWEST_PLACES = 10
-"""Places, voxels with points, below which a cloud is no scan of anything: it cannot be matched
-whatever the settings (``odometry.min_points``), and what it adds to a map is not worth a pose."""
-MATCHING_SHARE = 0.3
-"""Scans are thinned for the map before they are thinned again for matching: at most to this
-share of the matcher's voxels, or a coarse map would cost odometry."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PreparedScan:
-    """A scan with its odometry.
-
-    ``thinned`` (N, 3) are its points in base_link for the map, in the map's single precision; it
-    is (N, 4) with their intensities where the LiDAR measures them. ``sparse`` (M, 3) are the points
-    for scoring, metres.
-    ``T_previous_current`` links it to the scan of the same LiDAR at ``previous``; both are None
-    where there is no odometry. ``covariance`` (6, 6) is that of this motion, in the frame of the
-    scan and in GTSAM's order, rotation before translation; None where the matcher does not tell.
-    ``usable`` says that the next scan may link to this one.
-    """
-
-    core: CoreMeasurement
-    thinned: NDArray[np.float32]
-    sparse: NDArray[np.float64]
-    previous: int | None
-    T_previous_current: gtsam.Pose3 | None
-    usable: bool = True
-    covariance: NDArray[np.float64] | None = None
-
-
-class ScanPreparer:
-    """Thins, matches and deskews the scans of one LiDAR, in their order.
-
-    It knows nothing of other sensors: what it takes and gives can be pickled, so it may as well
-    live in a process of its own.
-    """
-
-    def __init__(self, name: str, config: Config, notes: Counter[str]) -> None:
-        """Make ready for the LiDAR ``name``; ``notes`` counts what was used, but not in full."""
-        warm_up()
-        lidar = config.lidars.get(name)
-        self._odometry = config.odometry
-        self._T_base_lidar = np.eye(4) if lidar is None else lidar.matrix()
-        self._map_voxel = config.map.voxel_size
-        self._sparse_voxel = config.mom.voxel_size
-        self._voxel = min(self._map_voxel, MATCHING_SHARE * config.odometry.voxel_size)
-        self._chain = LidarChain(name, config, notes)
-
-    def prepare(self, scan: LidarScan, imu: ImuSeries = EMPTY_SERIES) -> PreparedScan:
-        """The next scan with its odometry.
-
-        Args:
-            scan: As the message has it.
-            imu: The IMU's samples since the scan before, up to the end of the sweep.
-
-        Returns:
-            Its points in base_link and how it lies to the scan before.
-
-        Raises:
-            MeasurementError: No point is in range, or the points are in hardly any place.
-        """
-        return self.match(self.thinned(scan), imu)
-
-    def thinned(self, scan: LidarScan) -> Sweep:
-        """The points in range, thinned, for ``match``; knows nothing of the scans before.
-
-        Args:
-            scan: As the message has it.
-        """
-        odometry = self._odometry
-        return to_base(
-            scan,
-            self._T_base_lidar,
-            odometry.min_range,
-            odometry.max_range,
-            self._voxel,
-            odometry.deskew,
-        )
-
-    def match(self, sweep: Sweep, imu: ImuSeries = EMPTY_SERIES) -> PreparedScan:
-        """See ``prepare``, with what ``thinned`` has made of the scan.
-
-        Raises:
-            MeasurementError: No point is in range, or the points are in hardly any place.
-        """
-        self._chain.take(imu)
-        if len(sweep) == 0:
-            raise MeasurementError(
-                'no_points_in_range', f'{sweep.sensor} at {sweep.stamp}: no point within range'
-            )
-        if len(sweep) < FEWEST_PLACES:
-            raise MeasurementError(
-                'too_few_points',
-                f'{sweep.sensor} at {sweep.stamp}: points in {len(sweep)} places within range, '
-                f'{FEWEST_PLACES} are the least',
-            )
-        link = self._chain.add(sweep)
-        rows = link.points.T
-        if sweep.intensities is not None:
-            rows = np.vstack([rows, sweep.intensities])
-        if self._map_voxel > self._voxel:
-            rows = voxel_means(rows, self._map_voxel)
-        return PreparedScan(
-            core=CoreMeasurement(sweep.stamp, sweep.sensor, CoreKind.LIDAR),
-            thinned=rows.T.astype(np.float32, order='C'),
-            sparse=thin(rows[:3].T, self._sparse_voxel),
-            previous=link.previous,
-            T_previous_current=link.T_previous_current,
-            usable=link.usable,
-            covariance=link.covariance,
-        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,7 +13,7 @@ from typing import Any, BinaryIO, Protocol
 from incremental_mapper.config import Config
 from incremental_mapper.errors import MeasurementError
 from incremental_mapper.frontend.imu_preintegration import EMPTY_SERIES, ImuSeries
-from incremental_mapper.frontend.lidar_odometry import PreparedScan, ScanPreparer
+from incremental_mapper.frontend.prepared_scan import PreparedScan, ScanPreparer
 from incremental_mapper.frontend.preprocessing import Sweep, warm_up
 from incremental_mapper.frontend.scan_servers import scan_server
 from incremental_mapper.helper_process import streams

@@ -6,8 +6,8 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from incremental_mapper.frontend.lidar_odometry import PreparedScan
 from incremental_mapper.frontend.match_noise import weak_directions
+from incremental_mapper.frontend.prepared_scan import PreparedScan
 from incremental_mapper.measurements import NANOSECONDS
 
 

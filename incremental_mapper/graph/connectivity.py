@@ -11,8 +11,8 @@ from scipy.cluster.hierarchy import DisjointSet
 
 from incremental_mapper.candidates.model import HEAD, Candidate, Cluster, CoreMeasurement
 from incremental_mapper.frontend.front_end import Prepared
-from incremental_mapper.frontend.lidar_odometry import PreparedScan
 from incremental_mapper.frontend.match_noise import weak_directions
+from incremental_mapper.frontend.prepared_scan import PreparedScan
 from incremental_mapper.graph.factors import Factor
 from incremental_mapper.graph.frontier import Frontier
 

@@ -13,8 +13,8 @@ from incremental_mapper.candidates.model import (
 )
 from incremental_mapper.frontend.front_end import PreparedFix
 from incremental_mapper.frontend.gap_matching import LONG
-from incremental_mapper.frontend.lidar_odometry import PreparedScan
 from incremental_mapper.frontend.match_noise import carried
+from incremental_mapper.frontend.prepared_scan import PreparedScan
 from incremental_mapper.graph.connectivity import Partition, Partitions
 from incremental_mapper.graph.factors import (
     Factor,

@@ -7,7 +7,7 @@ from incremental_mapper.candidates.model import CoreKind
 from incremental_mapper.candidates.partitions import group_elements
 from incremental_mapper.candidates.spans import ImuStamps
 from incremental_mapper.frontend.front_end import Prepared
-from incremental_mapper.frontend.lidar_odometry import PreparedScan
+from incremental_mapper.frontend.prepared_scan import PreparedScan
 from incremental_mapper.graph.factors import FactorKind
 from incremental_mapper.graph.frontier import chain_start
 

@@ -8,7 +8,7 @@ import numpy as np
 from incremental_mapper.checks.finding import Finding
 from incremental_mapper.checks.stamp_beat import RUNS, beat_finding, beat_scatter
 from incremental_mapper.frontend.front_end import Prepared
-from incremental_mapper.frontend.lidar_odometry import PreparedScan
+from incremental_mapper.frontend.prepared_scan import PreparedScan
 
 RUN = 24
 """Scans of a run."""

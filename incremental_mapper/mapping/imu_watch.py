@@ -25,7 +25,7 @@ from incremental_mapper.checks.lidar_clock import lidar_clock_findings
 from incremental_mapper.checks.slow_imu import check_slow
 from incremental_mapper.config import Config, Tree
 from incremental_mapper.frontend.front_end import Prepared
-from incremental_mapper.frontend.lidar_odometry import PreparedScan
+from incremental_mapper.frontend.prepared_scan import PreparedScan
 from incremental_mapper.measurements import NANOSECONDS, ImuSample, Vector
 
 MOST_SAMPLES = 20_000

@@ -20,7 +20,7 @@ from incremental_mapper.frontend.imu_preintegration import (
     ImuSeries,
     preintegration_parameters,
 )
-from incremental_mapper.frontend.lidar_odometry import PreparedScan
+from incremental_mapper.frontend.prepared_scan import PreparedScan
 from incremental_mapper.map.store import PointStore
 from incremental_mapper.mapping.base_count import BaseCount
 from incremental_mapper.mapping.commit import NOTHING, Committed, commit

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from incremental_mapper.config import Config
 from incremental_mapper.frontend.front_end import Prepared, PreparedFix
-from incremental_mapper.frontend.lidar_odometry import PreparedScan
+from incremental_mapper.frontend.prepared_scan import PreparedScan
 from incremental_mapper.graph.factors import Factor, gnss_factor, velocity_prior
 from incremental_mapper.mapping.standstill import SPAN
 from incremental_mapper.measurements import NANOSECONDS, NO_VERTICAL_SIGMA

@@ -11,7 +11,7 @@ from incremental_mapper.checks.ground import GroundLook, see_ground
 from incremental_mapper.checks.level_mount import level_mount
 from incremental_mapper.config import Config
 from incremental_mapper.frontend.front_end import Prepared
-from incremental_mapper.frontend.lidar_odometry import PreparedScan
+from incremental_mapper.frontend.prepared_scan import PreparedScan
 from incremental_mapper.measurements import ImuSample
 
 FIRST = 40

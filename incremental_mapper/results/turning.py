@@ -13,7 +13,7 @@ from incremental_mapper.checks.imu_motion import FEWEST, MotionEvidence
 from incremental_mapper.config import Config
 from incremental_mapper.datasets.sampling import Sampled, SensorKind, SensorSample, scans_of
 from incremental_mapper.errors import MeasurementError
-from incremental_mapper.frontend.lidar_odometry import PreparedScan, ScanPreparer
+from incremental_mapper.frontend.prepared_scan import PreparedScan, ScanPreparer
 from incremental_mapper.measurements import ImuSample
 
 POINTS = 1_500_000

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from incremental_mapper.candidates.model import Candidate
 from incremental_mapper.frontend.front_end import Prepared
-from incremental_mapper.frontend.lidar_odometry import PreparedScan
+from incremental_mapper.frontend.prepared_scan import PreparedScan
 from incremental_mapper.geometry import transform_points
 from incremental_mapper.graph.connectivity import Partition, Partitions
 from incremental_mapper.graph.motion_compensation import MotionCompensation

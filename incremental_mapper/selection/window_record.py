@@ -23,7 +23,7 @@ from incremental_mapper.config import Config
 from incremental_mapper.errors import ConfigError, InputError
 from incremental_mapper.frontend.front_end import Prepared
 from incremental_mapper.frontend.imu_preintegration import ImuSeries, preintegration_parameters
-from incremental_mapper.frontend.lidar_odometry import PreparedScan
+from incremental_mapper.frontend.prepared_scan import PreparedScan
 from incremental_mapper.map.store import MemoryStore, StoredPoints
 from incremental_mapper.selection.choice import Choice
 from incremental_mapper.selection.strategies import find_strategy

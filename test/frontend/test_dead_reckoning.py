@@ -18,7 +18,7 @@ from incremental_mapper.frontend.imu_preintegration import (
     ImuSeries,
     preintegration_parameters,
 )
-from incremental_mapper.frontend.lidar_odometry import PreparedScan
+from incremental_mapper.frontend.prepared_scan import PreparedScan
 
 MS = 1_000_000
 PARAMETERS = preintegration_parameters(ImuSettings(), np.eye(4))

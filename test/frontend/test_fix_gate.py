@@ -13,7 +13,7 @@ from incremental_mapper.config import GnssSettings, OdometryMethod
 from incremental_mapper.errors import MeasurementError
 from incremental_mapper.frontend.fix_gate import FixGate
 from incremental_mapper.frontend.gnss import Datum
-from incremental_mapper.frontend.lidar_odometry import PreparedScan
+from incremental_mapper.frontend.prepared_scan import PreparedScan
 from incremental_mapper.measurements import NANOSECONDS, FixStatus, GnssFix
 
 START = 1_544_676_777_000_000_000

@@ -6,7 +6,7 @@ import pytest
 from driven_room import STEP, assert_close, front_end, poses, room, scan, seen_from, stamp
 
 from incremental_mapper.frontend.front_end import FrontEnd, PreparedFix
-from incremental_mapper.frontend.lidar_odometry import PreparedScan
+from incremental_mapper.frontend.prepared_scan import PreparedScan
 from incremental_mapper.measurements import FixStatus, GnssFix, ImuSample
 from incremental_mapper.settings import make_config
 

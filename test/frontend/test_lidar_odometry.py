@@ -22,7 +22,7 @@ from driven_room import (
 from scipy.spatial import cKDTree
 
 from incremental_mapper.frontend.front_end import FrontEnd
-from incremental_mapper.frontend.lidar_odometry import ScanPreparer
+from incremental_mapper.frontend.prepared_scan import ScanPreparer
 from incremental_mapper.measurements import LidarScan
 from incremental_mapper.settings import make_config
 from incremental_mapper.voxels import thin

@@ -14,7 +14,7 @@ from incremental_mapper.candidates.model import (
     CoreMeasurement,
 )
 from incremental_mapper.frontend.front_end import PreparedFix
-from incremental_mapper.frontend.lidar_odometry import PreparedScan
+from incremental_mapper.frontend.prepared_scan import PreparedScan
 from incremental_mapper.graph.connectivity import Partitions
 from incremental_mapper.graph.frontier import Frontier
 

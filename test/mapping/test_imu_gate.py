@@ -8,7 +8,7 @@ import pytest
 
 from incremental_mapper.candidates.model import CoreKind, CoreMeasurement
 from incremental_mapper.frontend.imu_preintegration import ImuSeries, turning_of
-from incremental_mapper.frontend.lidar_odometry import PreparedScan
+from incremental_mapper.frontend.prepared_scan import PreparedScan
 from incremental_mapper.mapping.imu_gate import ImuGate, gate
 
 MS = 1_000_000

@@ -9,7 +9,7 @@ from imu_rig import START, rates, samples, velocities
 
 from incremental_mapper.candidates.model import CoreKind, CoreMeasurement
 from incremental_mapper.config import Imu
-from incremental_mapper.frontend.lidar_odometry import PreparedScan
+from incremental_mapper.frontend.prepared_scan import PreparedScan
 from incremental_mapper.mapping import imu_watch
 from incremental_mapper.mapping.imu_intake import ImuIntake
 from incremental_mapper.mapping.imu_watch import ImuWatch, _spikes

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from incremental_mapper.candidates.model import CoreKind, CoreMeasurement
 from incremental_mapper.frontend.imu_preintegration import ImuSeries
-from incremental_mapper.frontend.lidar_odometry import PreparedScan
+from incremental_mapper.frontend.prepared_scan import PreparedScan
 from incremental_mapper.mapping.standstill import DRIFT, WANDER, Standstill
 
 MS = 1_000_000
