@@ -20,8 +20,7 @@ from statistics import median
 from typing import Any
 
 import numpy as np
-from graph_memory import resident
-from long_drive import RepeatedDrive
+from hour import hour
 
 import incremental_mapper.mapping.mapper as mapper_module
 from incremental_mapper.config import Config, Tree
@@ -30,7 +29,7 @@ from incremental_mapper.datasets.simulated.folder import simulate
 from incremental_mapper.datasets.simulated.options import MotionKind, SimulationOptions
 from incremental_mapper.datasets.source import Source
 from incremental_mapper.mapping.mapper import Mapper
-from incremental_mapper.mapping.statistics import STAGES, peak_rss_mb
+from incremental_mapper.mapping.statistics import STAGES
 from incremental_mapper.measurements import LidarScan, Measurement
 from incremental_mapper.results.offline_run import map_source
 from incremental_mapper.results.opened_drive import effective_config
@@ -220,39 +219,6 @@ def search(folder: Path, tree: Tree) -> dict[str, Any]:
     return found
 
 
-def hour(folder: Path, tree: Tree, minutes: float) -> dict[str, Any]:
-    """Memory of a very long drive, its scans kept where the settings say."""
-    source, config = opened(folder, tree)
-    rounds = max(round(60.0 * minutes / source.info.duration), 1)
-    long = RepeatedDrive(source, rounds)
-    mapper = Mapper(config, list(source.info.counts))
-    began = time.perf_counter()
-    held: list[tuple[float, float]] = []
-    first = 0
-    for measurement in long.measurements():
-        first = first or measurement.stamp
-        mapper.push(measurement)
-        if (minute := (measurement.stamp - first) / 6e10) >= len(held):
-            held.append((minute, resident() / 1e6))
-    mapped = peak_rss_mb()
-    later = np.array(held[len(held) // 2 :])
-    result = mapper.finish()
-    rows = [row['window_s'] for row in result.rows if row['core']]
-    tenth = max(len(rows) // 10, 1)
-    return {
-        'minutes': rounds * source.info.duration / 60.0,
-        'peak_rss_mb_while_mapping': mapped,
-        'mb_a_minute': float(np.polyfit(*later.T, 1)[0]) if len(later) > 1 else float('nan'),
-        'peak_rss_mb_with_final_solve': peak_rss_mb(),
-        'growth': float(np.mean(rows[-tenth:]) / np.mean(rows[:tenth])),
-        'real_time_factor': rounds * source.info.duration / (time.perf_counter() - began),
-        'clusters': len(result.clusters),
-        'bridges': result.stats['bridges'],
-        'carried': result.stats['carried_windows'],
-        'solver_failures': result.stats['solver_failures'],
-    }
-
-
 def _started(config: Config, sensors: list[str]) -> Mapper:
     """A mapper whose processes are there."""
     mapper = Mapper(config, sensors)
@@ -326,8 +292,10 @@ def report(parts: dict[str, Any]) -> str:
             f'peak memory of {done["minutes"]:.0f} minutes',
             f'{done["peak_rss_mb_while_mapping"]:.0f} MB while mapping, growing by '
             f'{done["mb_a_minute"]:.1f} MB a minute in the second half, '
-            f'{done["peak_rss_mb_with_final_solve"]:.0f} MB with the final solve; growth '
-            f'{done["growth"]:.2f}, real-time factor {done["real_time_factor"]:.2f}',
+            f'{done["all_processes_mb_while_mapping"]:.0f} MB with its processes, '
+            f'{done["peak_rss_mb_with_final_solve"]:.0f} MB with the final solve of '
+            f'{done["final_s"]:.0f} s; growth {done["growth"]:.2f}, real-time factor '
+            f'{done["real_time_factor"]:.2f}, closures {done["closures"]}',
         )
     if done := parts.get('lengths'):
         lines += [
@@ -380,7 +348,7 @@ def main() -> None:
     if args.only == 'long':
         done = whole(drive(args.work, args.long), tree)
     elif args.only == 'hour':
-        done = hour(drive(args.work, args.long or args.seconds), tree, args.hour)
+        done = hour(*opened(drive(args.work, args.long or args.seconds), tree), args.hour)
     else:
         made = {
             'whole': whole,
