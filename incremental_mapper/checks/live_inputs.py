@@ -6,12 +6,13 @@ from incremental_mapper.checks.finding import Finding, Severity
 from incremental_mapper.checks.frame_names import shown_frame
 
 ROOM = (
-    'let it publish reliable: a packet that is lost is then sent again; or, with Fast DDS on one '
-    'machine, give it room for whole messages: FASTRTPS_DEFAULT_PROFILES_FILE='
+    'with Fast DDS on one machine, give it room for whole messages: FASTRTPS_DEFAULT_PROFILES_FILE='
     "fastdds_large_clouds.xml of this package's config/ in its environment (in the node's alone it "
     'does not help)'
 )
-"""What helps a publisher that sends best effort."""
+"""What helps a publisher whose packets are lost."""
+RELIABLE_OR_ROOM = f'let it publish reliable: a packet that is lost is then sent again; or, {ROOM}'
+"""What helps one that sends best effort."""
 
 
 def nobody_publishes(
@@ -150,7 +151,7 @@ def messages_lost(
         remedy = f'take {override} out, or set it to reliable'
     else:
         why = f'because {", ".join(publishers) or "a publisher"} offers no more'
-        remedy = ROOM
+        remedy = RELIABLE_OR_ROOM
     return Finding(
         'lost_messages',
         Severity.WARNING,
@@ -175,7 +176,7 @@ def nothing_comes(sensor: str, topic: str, publishers: Sequence[str], seconds: f
         sensor,
         f'no message of {topic} has come for {seconds:.0f} s, and {", ".join(publishers)} sends '
         'best effort: if it sends at all, all of it is lost on the way, as large clouds are',
-        ROOM,
+        RELIABLE_OR_ROOM,
     )
 
 
@@ -193,7 +194,26 @@ def lost_of_reliable(sensor: str, topic: str, count: int) -> Finding:
         sensor,
         f'{count} messages of {topic} were lost on the way: their publisher gave them up before '
         'they were through',
-        'a greater depth in the QoS of the publisher, or less to send',
+        f'{ROOM}; else a greater depth in the QoS of the publisher, or less to send',
+    )
+
+
+def messages_held_up(sensor: str, topic: str, count: int, longest: float) -> Finding:
+    """Messages were lost on the way and sent again, and all that was sent behind them waited.
+
+    Args:
+        sensor: Whose topic it is.
+        topic: Its name.
+        count: How often that was long.
+        longest: By how many seconds a message came after one that was sent behind it.
+    """
+    return Finding(
+        'messages_held_up',
+        Severity.WARNING,
+        sensor,
+        f'{count} messages of {topic} came up to {longest:.1f} s after others that were sent '
+        'behind them: they were lost on the way and sent again, and the map waited for them',
+        ROOM,
     )
 
 

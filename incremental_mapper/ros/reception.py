@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any
 
 from rclpy.event_handler import (
     QoSSubscriptionEventType,
@@ -19,25 +19,25 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from incremental_mapper.checks.finding import Finding
 from incremental_mapper.checks.live_inputs import (
     lost_of_reliable,
+    messages_held_up,
     messages_lost,
     messages_overwritten,
     nothing_comes,
     unheard_publishers,
 )
 from incremental_mapper.errors import ConfigError
+from incremental_mapper.ros.arrivals import Arrived, HeldUp, Taken, when_due
 
 RELIABLE, BEST_EFFORT = ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT
 OVERLAP = 1.0
 """Seconds for which the subscription before goes on beside a new one that is matched."""
 PATIENCE = 10.0
-"""Seconds after which it ends even where some publisher does not match the new one."""
+"""Seconds after which it ends even where some publisher does not match the new one; and for which
+what the other one has brought is known: Fast DDS sends again what was lost up to 3 s later."""
 NOTHING = 5.0
 """Seconds without a message after which somebody who publishes best effort is named."""
 OVERRIDABLE = (QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.DURABILITY)
 """Policies that users may always override; reliability is one more, and then settled."""
-
-Arrived: TypeAlias = tuple[Any, Mapping[str, Any]]
-"""A message, and what the middleware knows of it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +89,8 @@ class Reception:
         self._depth = depth
         self._subscriptions: dict[ReliabilityPolicy, Any] = {}
         self._events: dict[ReliabilityPolicy, Any] = {}
-        self._waiting: list[Arrived] = []
+        self._waiting: list[Taken] = []
+        self._held_up = HeldUp()
         self._seen: set[tuple[int, int]] = set()
         self._newest = 0
         self._missing: set[int] = set()
@@ -123,13 +124,20 @@ class Reception:
         found, self._waiting = self._waiting, []
         for subscription in self._subscriptions.values():
             found += self._drained(subscription)
-        if self._overlapping or self._seen:
-            found = [arrived for arrived in found if self._is_new(arrived)]
-        if found:
+        received = [about.get('received_timestamp') or 0 for _, about in found]
+        if not self._overlapping:
+            self._held_up.take(received)
+            received = when_due(received)
+        taken = [
+            Arrived(message, about, due)
+            for (message, about), due in zip(found, received, strict=True)
+            if not (self._overlapping or self._seen) or self._is_new(about)
+        ]
+        if taken:
             self._heard = time.monotonic()
-        for _, about in found:
-            self._count_gap(about.get('publication_sequence_number') or 0)
-        return found
+        for arrived in taken:
+            self._count_gap(arrived.about.get('publication_sequence_number') or 0)
+        return taken
 
     def look(self) -> None:
         """See who publishes, and bring the subscriptions in line with that."""
@@ -145,7 +153,7 @@ class Reception:
         self._make_due()
         passed = time.monotonic() - self._since
         if not self._overlapping:
-            if passed >= OVERLAP:
+            if passed >= PATIENCE:
                 self._seen.clear()
             return
         matched = all(
@@ -190,6 +198,11 @@ class Reception:
             found.append(cause)
         elif weak and not reliable and (silent := time.monotonic() - self._heard) > NOTHING:
             found.append(nothing_comes(sensor, self.topic, weak, silent))
+        if self._held_up.count and reliable:
+            held_up = messages_held_up(
+                sensor, self.topic, self._held_up.count, self._held_up.longest
+            )
+            found.append(held_up)
         if losses.overwritten:
             found.append(messages_overwritten(sensor, self.topic, losses.overwritten, self._depth))
         if reliable and weak:
@@ -272,9 +285,9 @@ class Reception:
         self._waiting.append((message, about))
         self._on_arrival()
 
-    def _drained(self, subscription: Any) -> list[Arrived]:
+    def _drained(self, subscription: Any) -> list[Taken]:
         """All that waits in a subscription, before the middleware overwrites it."""
-        found: list[Arrived] = []
+        found: list[Taken] = []
         handle = subscription.handle
         with handle:
             for _ in range(self._depth):
@@ -284,9 +297,8 @@ class Reception:
                 found.append(waiting)
         return found
 
-    def _is_new(self, arrived: Arrived) -> bool:
+    def _is_new(self, about: Mapping[str, Any]) -> bool:
         """Whether the other subscription has not brought it yet: both have the sender's marks."""
-        _, about = arrived
         key = about.get('source_timestamp') or 0, about.get('publication_sequence_number') or 0
         if not all(key):
             return True

@@ -20,9 +20,10 @@ from incremental_mapper.datasets.message_conversion import (
 from incremental_mapper.datasets.sensor_settings import offset_nanoseconds
 from incremental_mapper.errors import MeasurementError
 from incremental_mapper.measurements import NANOSECONDS, Drops, Measurement
+from incremental_mapper.ros.arrivals import Arrived
 from incremental_mapper.ros.clock_log import ClockLog
 from incremental_mapper.ros.lag import Lag
-from incremental_mapper.ros.reception import Arrived, Losses, Reception, stray_overrides
+from incremental_mapper.ros.reception import Losses, Reception, stray_overrides
 
 IMU, GNSS = 'imu', 'gnss'
 
@@ -163,15 +164,16 @@ class Inputs:
 
         The executor brings one message a round, and a round costs more than a message: what waits
         is taken at once, before the middleware overwrites it. Topic by topic it would be out of
-        order by as long as this thread was kept from running.
+        order by as long as this thread was kept from running. One topic stays in its order, though
+        a message of it was lost on the way, and came after those that were sent behind it.
         """
         batch: list[tuple[_Subscribed, Arrived]] = [
             (place, arrived) for place in self._subscribed for arrived in place.reception.take()
         ]
         # Middleware that does not know when it received leaves the order as it is.
-        batch.sort(key=lambda item: item[1][1].get('received_timestamp') or 0)
-        for place, (message, about) in batch:
-            self._on_message(place, message, about.get('received_timestamp') or time.time_ns())
+        batch.sort(key=lambda item: item[1].due)
+        for place, arrived in batch:
+            self._on_message(place, arrived.message, arrived.received)
 
     def _on_message(self, place: _Subscribed, message: Any, received: int) -> None:
         name = place.name

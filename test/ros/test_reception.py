@@ -19,6 +19,7 @@ from sensor_msgs.msg import NavSatFix
 
 from incremental_mapper.errors import ConfigError
 from incremental_mapper.ros import reception
+from incremental_mapper.ros.arrivals import HeldUp
 from incremental_mapper.ros.reception import (
     BEST_EFFORT,
     RELIABLE,
@@ -58,7 +59,7 @@ class Listening:
             raise
 
     def _take(self):
-        self.numbers += [int(message.latitude) for message, _ in self.reception.take()]
+        self.numbers += [int(arrived.message.latitude) for arrived in self.reception.take()]
 
     def publisher(self, reliability, depth=1000):
         profile = QoSProfile(depth=depth, reliability=reliability)
@@ -262,3 +263,51 @@ def test_two_subscriptions_that_bring_messages_in_turn_have_lost_none(listen):
     for number in (7, 5, 6, 8, 11, 9, 10, 12):
         reception._count_gap(number)
     assert reception.losses().total == 0
+
+
+def brought(listening, *moments):
+    """Messages in the order of sending as the middleware gives them, received at ``moments``, s."""
+    listening.reception._waiting = [
+        (
+            NavSatFix(),
+            {
+                'received_timestamp': int(moment * 1e9),
+                'source_timestamp': number,
+                'publication_sequence_number': number,
+            },
+        )
+        for number, moment in enumerate(moments, start=1)
+    ]
+    return listening.reception.take()
+
+
+def test_what_waited_for_a_message_that_was_sent_again_stays_behind_it(listen):
+    """Fast DDS sends again what was lost up to 3 s later, and gives the rest as it was received."""
+    listening = listen(reliability='reliable')
+    taken = brought(listening, 10.0, 11.7, 10.02, 10.03, 11.71)
+    assert [item.due / 1e9 for item in taken] == [10.0, 11.7, 11.7, 11.7, 11.71]
+    assert [item.received / 1e9 for item in taken] == [10.0, 11.7, 10.02, 10.03, 11.71]
+    (finding,) = listening.reception.findings('gnss')
+    assert finding.rule == 'messages_held_up'
+    assert '1 messages of /fix came up to 1.7 s after' in finding.text
+    assert 'fastdds_large_clouds.xml' in finding.remedy
+
+
+def test_a_packet_that_is_sent_again_at_once_holds_nothing_up():
+    held_up = HeldUp()
+    held_up.take([int(moment * 1e9) for moment in (10.0, 10.05, 10.02, 10.03, 17.0)])
+    held_up.take([0, 0, 0])  # middleware that does not know when it received
+    assert held_up.count == 0
+
+
+def test_what_comes_late_after_a_change_of_subscriptions_counts_once(listen, monkeypatch):
+    """What best effort brought at once comes again behind a message that was sent again."""
+    listening = listen()
+    publisher = found_by(listening, listening.publisher(RELIABLE))
+    sent = listening.send_until(publisher, lambda: len(listening.reception._subscriptions) == 1)
+    seen = next(iter(listening.reception._seen))
+    listening.spin(1.5)
+    again = {'source_timestamp': seen[0], 'publication_sequence_number': seen[1]}
+    listening.reception._waiting = [(NavSatFix(latitude=-1.0), again)]
+    assert listening.reception.take() == []
+    assert sorted(listening.numbers) == sent
