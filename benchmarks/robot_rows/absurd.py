@@ -9,9 +9,10 @@ from typing import Any
 
 from fuzz import run_map, write_bag
 from lies.hostile import Sent, as_data
-from lies.recording import DRIVES, IMU, Recording, make_drive, vector
+from lies.recording import DRIVES, IMU, LIDARS, Recording, make_drive, vector
 
 from incremental_mapper.datasets.truth import read_truth
+from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.results.trajectory_errors import trajectory_errors
 from incremental_mapper.trajectory import read_tum
 from robot_rows import Seen, row
@@ -85,6 +86,25 @@ def one_force(folder: Path) -> Seen:
 @row('the map bends, by metres in four drives of eight')
 def knocked(folder: Path) -> Seen:
     """0.2 s of an IMU that is knocked, and that is silent instead, in four drives of 7 s."""
+    return knocked_in(folder, lambda drive: drive)
+
+
+@row('the run ends with an error, or the map is bent by 0.1 m')
+def knocked_unseen(folder: Path) -> Seen:
+    """The same while both LiDARs are silent, for 0.3 s before it and until 0.3 s behind it."""
+    return knocked_in(folder, without_clouds)
+
+
+def without_clouds(drive: Recording) -> Recording:
+    """No cloud comes while the IMU is knocked."""
+    at = [logged for logged, topic, _ in drive.items if topic == IMU][AT - 1]
+    low, high = at - round(0.3 * NANOSECONDS), at + round(0.5 * NANOSECONDS)
+    items = (item for item in drive.items if item[1] not in LIDARS or not low <= item[0] <= high)
+    return replace(drive, items=tuple(items))
+
+
+def knocked_in(folder: Path, changed: Callable[[Recording], Recording]) -> Seen:
+    """Four drives, each with every knock."""
     count = 20
     spoils: dict[str, Callable[[Any], Any]] = {
         'silent': left_out,
@@ -94,7 +114,8 @@ def knocked(folder: Path) -> Seen:
     found: dict[str, list[float]] = {name: [] for name in ('alone', *spoils)}
     for seed in SEEDS:
         below = folder / str(seed)
-        drive = make_drive(replace(DRIVES['curve'], seconds=7.0), below / 'drive', seed=seed)
+        kind = replace(DRIVES['curve'], seconds=7.0)
+        drive = changed(make_drive(kind, below / 'drive', seed=seed))
         found['alone'].append(error(drive, below, lambda sample: sample, 0))
         for name, spoil in spoils.items():
             found[name].append(error(drive, below, spoil, count))

@@ -28,6 +28,8 @@ for a moment; no wheels speed a vehicle up by 10 for as long as a scan takes."""
 LASTING_FORCE, LASTING = 30.0, NANOSECONDS // 10
 """m/s^2 that are too much, gravity and all, for the mean over so many nanoseconds, whichever way
 up the IMU is. The samples of it that are off by ``MEAN_FORCE`` make it."""
+LASTING_RATE = 10.0
+"""rad/s that are too much for the mean over ``LASTING``: a turn and a half each second."""
 FEWEST = 5
 """Samples of which a mean says that something lasts."""
 USUAL = 50
@@ -79,14 +81,18 @@ def gate(
         before: Samples that were left out before these; what they began goes on.
 
     Returns:
-        The other samples. What a match vouches for stays, whatever another one says.
+        The other samples. What a match vouches for stays, whatever another one says. Where no
+        match tells, what no vehicle does for so long is left out.
     """
     if len(series.stamps) == 0:
         return Gated(series, EMPTY_SERIES)
     middle = np.median(series.acceleration, axis=0) if usual is None else usual
     forces = series.acceleration - middle
     fast = np.linalg.norm(series.gyro, axis=1) > RATE
-    lasting, goes_on = _lasting(series, np.linalg.norm(forces, axis=1) > MEAN_FORCE, before)
+    unusual = np.linalg.norm(forces, axis=1) > MEAN_FORCE
+    both = before.since(int(series.stamps[0]) - LASTING).joined_series(series)
+    lasting, goes_on = _lasting(both.stamps, both.acceleration, unusual, LASTING_FORCE)
+    whirling, _ = _lasting(both.stamps, both.gyro, fast, LASTING_RATE)
     strong = (np.linalg.norm(forces, axis=1) > FORCE) | lasting
     if not (fast.any() or strong.any()):
         return Gated(series, EMPTY_SERIES)
@@ -111,7 +117,7 @@ def gate(
             condemned[span] |= fast[span] & turned
         if np.linalg.norm(forces[span].mean(axis=0)) > MEAN_FORCE:
             condemned[span] |= strong[span]
-    condemned |= goes_on
+    condemned |= goes_on | ((lasting | whirling) & ~judged)
     condemned = _whole(condemned, lasting)
     keep = ~(condemned & ~(vouched & ~strong))
     unsure = _unsure((fast | strong) & keep, judged)
@@ -127,20 +133,28 @@ def _unsure(unusual: NDArray[np.bool_], judged: NDArray[np.bool_]) -> int | None
 
 
 def _lasting(
-    series: ImuSeries, unusual: NDArray[np.bool_], before: ImuSeries
+    stamps: NDArray[np.int64],
+    values: NDArray[np.float64],
+    unusual: NDArray[np.bool_],
+    most: float,
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Which unusual samples are of a force that no vehicle feels so long, and go on from before."""
-    none = np.zeros(len(series.stamps), dtype=bool)
-    if not unusual.any() or np.abs(series.acceleration).max() * np.sqrt(3.0) <= LASTING_FORCE:
+    """Which unusual samples are of what no vehicle feels so long, and go on from before.
+
+    Args:
+        stamps: Of the samples, and of some that were left out before them.
+        values: Theirs, (N, 3).
+        unusual: Which of the samples may be.
+        most: What the mean of the values over ``LASTING`` may be.
+    """
+    none = np.zeros(len(unusual), dtype=bool)
+    earlier = len(stamps) - len(unusual)
+    if not unusual.any() or np.abs(values[earlier:]).max() * np.sqrt(3.0) <= most:
         return none, none
-    all_of_it = before.since(int(series.stamps[0]) - LASTING).joined_series(series)
-    earlier = len(all_of_it.stamps) - len(series.stamps)
-    stamps = all_of_it.stamps
     ends = np.searchsorted(stamps, stamps + LASTING)
     count = ends - np.arange(len(stamps))
-    sums = np.vstack([np.zeros(3), np.cumsum(all_of_it.acceleration, axis=0)])
+    sums = np.vstack([np.zeros(3), np.cumsum(values, axis=0)])
     mean = np.linalg.norm(sums[ends] - sums[:-1], axis=1) / count
-    begins = np.flatnonzero((mean > LASTING_FORCE) & (count >= FEWEST))
+    begins = np.flatnonzero((mean > most) & (count >= FEWEST))
     change = np.zeros(len(stamps) + 1)
     np.add.at(change, begins, 1.0)
     np.add.at(change, ends[begins], -1.0)

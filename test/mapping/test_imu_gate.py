@@ -124,6 +124,22 @@ def test_without_matches_nothing_is_known():
     assert gate(samples, [], EYE).series is samples
 
 
+@pytest.mark.parametrize(('gyro', 'force'), [(20.0, 0.0), (0.0, 100.0)])
+def test_what_no_vehicle_does_so_long_is_left_out_without_matches(gyro, force):
+    samples = series()
+    samples.gyro[12:32, 2] += gyro
+    samples.acceleration[12:32, 0] += force
+    held = ImuGate()
+    held.take(series(), MATCHES, EYE)
+    gated = held.take(samples, [], EYE)
+    assert gated.refused.stamps.tolist() == samples.stamps[12:32].tolist()
+
+
+def test_a_whirl_that_matches_see_as_well_stays():
+    samples = series(rate=12.0)
+    assert len(gate(samples, [match(n, 12.0) for n in range(1, 6)], EYE).refused.stamps) == 0
+
+
 def test_a_knock_that_fills_a_window_is_left_out_whole():
     held, usual = ImuGate(), series()
     assert len(held.take(usual, MATCHES, EYE).refused.stamps) == 0
