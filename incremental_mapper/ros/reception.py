@@ -135,8 +135,9 @@ class Reception:
         ]
         if taken:
             self._heard = time.monotonic()
-        for arrived in taken:
-            self._count_gap(arrived.about.get('publication_sequence_number') or 0)
+        numbered = [item.about for item in taken] if self._overlapping else [it for _, it in found]
+        for about in numbered:
+            self._count_gap(about.get('publication_sequence_number') or 0)
         return taken
 
     def look(self) -> None:
@@ -155,6 +156,7 @@ class Reception:
         if not self._overlapping:
             if passed >= PATIENCE:
                 self._seen.clear()
+                self._missing.clear()
             return
         matched = all(
             self._subscriptions[policy].get_publisher_count() >= len(self._publishers)
@@ -271,7 +273,6 @@ class Reception:
         left = [item for other in self._subscriptions.values() for item in self._drained(other)]
         self._waiting += left
         self._lost = self.losses().transport
-        self._missing.clear()
         event = self._events.pop(policy, None)
         if event is not None:
             event.destroy_when_not_in_use()
@@ -309,9 +310,10 @@ class Reception:
     def _count_gap(self, number: int) -> None:
         """Count what is missing between a message's number and the newest one before it."""
         if number in self._missing:
-            # Of two subscriptions the other one had it.
+            # The other subscription had it, or it was sent again to the one that is left.
             self._missing.remove(number)
             self._gaps -= 1
+            self._lost -= not self._overlapping
             return
         if self._overlapping and self._newest - self._depth < number <= self._newest:
             # Two subscriptions are taken one after the other.

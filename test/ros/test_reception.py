@@ -265,9 +265,9 @@ def test_two_subscriptions_that_bring_messages_in_turn_have_lost_none(listen):
     assert reception.losses().total == 0
 
 
-def brought(listening, *moments):
-    """Messages in the order of sending as the middleware gives them, received at ``moments``, s."""
-    listening.reception._waiting = [
+def brought(reception, moments):
+    """Take messages as the middleware gives them: when each was received, s, by its number."""
+    reception._waiting = [
         (
             NavSatFix(),
             {
@@ -276,15 +276,15 @@ def brought(listening, *moments):
                 'publication_sequence_number': number,
             },
         )
-        for number, moment in enumerate(moments, start=1)
+        for number, moment in moments.items()
     ]
-    return listening.reception.take()
+    return reception.take()
 
 
 def test_what_waited_for_a_message_that_was_sent_again_stays_behind_it(listen):
     """Fast DDS sends again what was lost up to 3 s later, and gives the rest as it was received."""
     listening = listen(reliability='reliable')
-    taken = brought(listening, 10.0, 11.7, 10.02, 10.03, 11.71)
+    taken = brought(listening.reception, {1: 10.0, 2: 11.7, 3: 10.02, 4: 10.03, 5: 11.71})
     assert [item.due / 1e9 for item in taken] == [10.0, 11.7, 11.7, 11.7, 11.71]
     assert [item.received / 1e9 for item in taken] == [10.0, 11.7, 10.02, 10.03, 11.71]
     (finding,) = listening.reception.findings('gnss')
@@ -300,14 +300,16 @@ def test_a_packet_that_is_sent_again_at_once_holds_nothing_up():
     assert held_up.count == 0
 
 
-def test_what_comes_late_after_a_change_of_subscriptions_counts_once(listen, monkeypatch):
-    """What best effort brought at once comes again behind a message that was sent again."""
+def test_what_is_sent_again_after_a_change_of_subscriptions_is_neither_lost_nor_double(listen):
+    """Best effort brought what came behind it, and has ended by then."""
     listening = listen()
-    publisher = found_by(listening, listening.publisher(RELIABLE))
-    sent = listening.send_until(publisher, lambda: len(listening.reception._subscriptions) == 1)
-    seen = next(iter(listening.reception._seen))
-    listening.spin(1.5)
-    again = {'source_timestamp': seen[0], 'publication_sequence_number': seen[1]}
-    listening.reception._waiting = [(NavSatFix(latitude=-1.0), again)]
-    assert listening.reception.take() == []
-    assert sorted(listening.numbers) == sent
+    reception = listening.reception
+    found_by(listening, listening.publisher(RELIABLE))
+    brought(reception, {number: 10.0 for number in (1, 2, 3, 4, 5, 9, 10, 11, 12)})
+    assert reception.losses().total == 3  # of one that is best effort it would be so
+    reception._end(BEST_EFFORT)
+    time.sleep(1.5)
+    reception.look()
+    taken = brought(reception, {number: 12.0 for number in range(6, 14)})
+    assert [item.about['publication_sequence_number'] for item in taken] == [6, 7, 8, 13]
+    assert reception.losses().total == 0
