@@ -14,7 +14,7 @@ SETTINGS = sorted(str(path) for path in Path('config').iterdir())
 SIMULATION = ['embreex>=2.17.7.post4']
 REPORT = ['jinja2>=3.1', 'matplotlib>=3.8', 'pyarrow>=14']
 FORMATS = ['gpxpy>=1.6', 'laspy[lazrs]>=2.5', 'pyproj>=3.6']
-VIEW = ['rerun-sdk>=0.24']
+VIEW = ['rerun-sdk>=0.27']
 EVALIO = ['evalio>=0.6']
 CLUSTER = ['distributed>=2024.1']
 CLOSURES = ['map-closures>=2.0']

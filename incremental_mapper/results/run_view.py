@@ -145,6 +145,8 @@ def show_finished(run: FinishedRun, scene: RerunScene) -> None:
     points = _points_by_window(run)
     candidates = _candidates_by_window(run)
     way: list[NDArray[np.float64]] = []
+    if poses:
+        scene.overlook(np.stack(list(poses.values()))[:, :3])
     for row in run.windows:
         window = int(row['window'])
         new = clusters.get(window, [])

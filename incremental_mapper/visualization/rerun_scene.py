@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from incremental_mapper.errors import InputError, OutputError
+from incremental_mapper.scoring.score_names import SCORE_NAMES
 from incremental_mapper.visualization.factor_colours import (
     CLUSTER_COLOUR,
     FACTOR_COLOURS,
@@ -30,11 +31,20 @@ SCORES = f'{NUMBERS}/score'
 WHOLE_GRAPH = 'map/whole_graph'
 _PARTS = ('poses', 'clusters', 'priors', *FACTOR_COLOURS)
 _ADDED_UP = (f'{POINTS}/0', f'{POINTS}/1', FIXES, *(f'{WHOLE_GRAPH}/{part}' for part in _PARTS))
+WAY_COLOUR = (235, 60, 60)
+POINT, LINE, WAY, POSE = 0.8, 0.8, 2.2, 1.3
+"""Radii on the screen, in its points: walls of thick points would hide the street between them, and
+a way a hand wide is not seen from where the whole drive is."""
+_FROM = np.array([0.0, -0.5, 0.85])
+"""Direction from the map to the eye: over the roofs into the streets."""
+_FOLLOWED = 90.0
+"""Metres from the eye to a car that it follows."""
 _SIGMAS = 3.0
 """Half axes of a fix's ellipsoid are so many standard deviations."""
 _LOW, _HIGH = -3.0, 12.0
-"""Heights above base_link, metres, between which the colours of points run."""
-_RAMP = np.array([[48, 63, 140], [44, 140, 150], [150, 190, 90], [245, 200, 80], [235, 100, 60]])
+"""Heights above base_link, metres, between which the colours of points run: the road is light, so
+that way and graph are seen on it."""
+_RAMP = np.array([[200, 205, 212], [150, 172, 190], [70, 140, 160], [225, 180, 70], [225, 95, 60]])
 _SHOWN = 12
 """Candidates in the table of a window, the best of them."""
 
@@ -70,7 +80,7 @@ class RerunScene:
         self._turns = 0
         self._filled: set[str] = set()  # parts of the graph that show something
         self._stream = rr.RecordingStream(APPLICATION)
-        blueprint = _blueprint()
+        blueprint = _blueprint(tracking_entity=CAR, look_target=np.zeros(3), distance=_FOLLOWED)
         if save is not None:
             try:
                 self._stream.save(save, default_blueprint=blueprint)
@@ -90,6 +100,16 @@ class RerunScene:
         )
         self._log(SCORES, lines, static=True)
 
+    def overlook(self, positions: NDArray[np.float64]) -> None:
+        """Let the eye see all of a way (N, 3), metres, where it would follow the car.
+
+        Args:
+            positions: Of the whole run.
+        """
+        low, high = positions.min(axis=0), positions.max(axis=0)
+        distance = max(1.25 * float(np.linalg.norm(high - low)), _FOLLOWED)
+        self._stream.send_blueprint(_blueprint(0.5 * (low + high), distance))
+
     def at(self, stamp: int, window: int) -> None:
         """Set the time.
 
@@ -104,7 +124,9 @@ class RerunScene:
         """Add points (N, 3 or more) to the map, metres; ``height`` is that of base_link there."""
         positions = points[:, :3].astype(np.float32)
         colours = _colours(positions[:, 2] - height)
-        self._log(f'{POINTS}/{self._turns}', self._rr.Points3D(positions, colors=colours))
+        radius = self._rr.Radius.ui_points(POINT)
+        shown = self._rr.Points3D(positions, colors=colours, radii=radius)
+        self._log(f'{POINTS}/{self._turns}', shown)
 
     def turned(self, T_new_old: NDArray[np.float64]) -> None:
         """Lay all points so far elsewhere: the map became east, north, up, once in a run.
@@ -124,7 +146,8 @@ class RerunScene:
 
     def path(self, positions: NDArray[np.float64]) -> None:
         """Show the way (N, 3), metres, in place of the one before."""
-        self._log(PATH, self._rr.LineStrips3D([positions], colors=[(235, 60, 60)], radii=[0.12]))
+        radius = self._rr.Radius.ui_points(WAY)
+        self._log(PATH, self._rr.LineStrips3D([positions], colors=[WAY_COLOUR], radii=radius))
 
     def graph(
         self,
@@ -144,7 +167,8 @@ class RerunScene:
             add: Add it to those before instead.
         """
         rr, place = self._rr, WHOLE_GRAPH if add else GRAPH
-        shown = rr.Points3D(poses, colors=[_bytes(POSE_COLOUR)], radii=[0.12])
+        radius = rr.Radius.ui_points(POSE)
+        shown = rr.Points3D(poses, colors=[_bytes(POSE_COLOUR)], radii=radius)
         self._part(f'{place}/poses', len(poses), shown)
         boxes = rr.Boxes3D(
             centers=merged, half_sizes=[(0.35, 0.35, 0.25)], colors=[_bytes(CLUSTER_COLOUR)]
@@ -155,7 +179,9 @@ class RerunScene:
         for kind in FACTOR_COLOURS:
             ends = edges.get(kind, np.zeros((0, 2, 3)))
             if len(ends) or f'{place}/{kind}' in self._filled:
-                lines = rr.LineStrips3D(ends, colors=[_bytes(FACTOR_COLOURS[kind])], radii=[0.04])
+                lines = rr.LineStrips3D(
+                    ends, colors=[_bytes(FACTOR_COLOURS[kind])], radii=rr.Radius.ui_points(LINE)
+                )
                 self._part(f'{place}/{kind}', len(ends), lines)
 
     def _part(self, place: str, count: int, what: Any) -> None:
@@ -253,8 +279,10 @@ def check_rrd(path: Path) -> None:
         raise OutputError(f'{path}: cannot be written (no such folder)')
 
 
-def _blueprint() -> Any:
-    """How the viewer is laid out at first."""
+def _blueprint(
+    look_target: NDArray[np.float64], distance: float, tracking_entity: str | None = None
+) -> Any:
+    """How the viewer is laid out at first, and where its eye is: ``distance`` metres away."""
     import rerun.blueprint as rrb
 
     until_now = rrb.VisibleTimeRanges(
@@ -271,18 +299,29 @@ def _blueprint() -> Any:
         origin='map',
         name='map',
         background=[245, 245, 245],
+        eye_controls=rrb.EyeControls3D(
+            position=look_target + distance * _FROM,
+            look_target=look_target,
+            tracking_entity=tracking_entity,
+        ),
         overrides={place: until_now for place in _ADDED_UP},
     )
     return rrb.Blueprint(
         rrb.Horizontal(
             scene,
             rrb.Vertical(
-                rrb.TimeSeriesView(origin=SCORES, name='scores'),
+                rrb.TimeSeriesView(origin=SCORES, name='score of each window'),
                 rrb.BarChartView(
-                    origin=f'{CANDIDATES}/scores', name='candidates, % above the lowest'
+                    origin=f'{CANDIDATES}/scores',
+                    name="this window's candidates: score, % above the lowest",
+                    plot_legend=rrb.PlotLegend(visible=False),
                 ),
-                rrb.TextDocumentView(origin=f'{CANDIDATES}/table', name='the best of them'),
-                rrb.TimeSeriesView(origin=NUMBERS, contents=_other_numbers(), name='graph'),
+                rrb.TextDocumentView(
+                    origin=f'{CANDIDATES}/table', name="this window's best candidates"
+                ),
+                rrb.TimeSeriesView(
+                    origin=NUMBERS, contents=_other_numbers(), name='candidates, solver error'
+                ),
             ),
             column_shares=[3, 2],
         ),
@@ -299,7 +338,7 @@ def _table(ranked: Sequence[ShownCandidate], score_name: str) -> str:
     """The best candidates, and the winner where it is none of them, as Markdown."""
     shown = [item for place, item in enumerate(ranked) if place < _SHOWN or item.winner]
     lines = [
-        f'{len(ranked)} candidates, score: {score_name or "none"}',
+        f'{len(ranked)} candidates, score: {SCORE_NAMES.get(score_name, score_name) or "none"}',
         '',
         '| | score | vertices | time shift s | solver error | clusters |',
         '|---|--:|--:|--:|--:|---|',

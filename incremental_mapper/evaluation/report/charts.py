@@ -12,6 +12,7 @@ from incremental_mapper.evaluation.table import BASE
 from incremental_mapper.geometry import transform_points
 from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.results.finished_run import FinishedRun
+from incremental_mapper.scoring.score_names import SCORE_NAMES
 from incremental_mapper.trajectory import Trajectory, fit_rigid, match_truth
 from incremental_mapper.visualization.figure import Look, Theme, box, new_figure, plain
 
@@ -25,13 +26,6 @@ Series: TypeAlias = tuple[NDArray[np.float64], NDArray[np.float64]]
 SETTLED = 20
 """Compression is drawn from so many variables of base on: before, each one is a jump."""
 MIN_TRUE_POSES = 3
-SCORES = {
-    'mom_3': 'MOM on planes of three directions, m²',
-    'mom_2': 'MOM on planes of two directions, m²',
-    'mom_1': 'MOM on planes of one direction, m²',
-    'plane_variance': 'mean variance of all planes, m²',
-}
-"""What readers of a page are told, who do not know the names in ``windows.csv``."""
 WIDE = 4.0
 """Ratio of errors from which on their axis is logarithmic."""
 
@@ -57,7 +51,7 @@ def progress_figure(
     if savings:
         panels.append((f'{what} saved so far, %', savings))
     if label:
-        said = SCORES.get(label, label)
+        said = SCORE_NAMES.get(label, label)
         panels.append((f'score of the winners of {lead}: {said}', {lead: scores}))
     if errors:
         panels.append(('distance to the truth, cm', errors))
