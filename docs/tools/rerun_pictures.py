@@ -7,6 +7,8 @@ is one without a graphics card (``apt-get install mesa-vulkan-drivers``).
 """
 
 import io
+import os
+import signal
 import subprocess
 import sys
 import time
@@ -32,7 +34,9 @@ def draw(recording: Path, picture: Path, window: int | None) -> None:
     """
     words = ['rerun', str(recording.absolute()), '--headless', '--window-size', SIZE]
     silent = subprocess.DEVNULL
-    viewer = subprocess.Popen([*words, '--port', str(PORT)], stdout=silent, stderr=silent)
+    viewer = subprocess.Popen(
+        [*words, '--port', str(PORT)], stdout=silent, stderr=silent, start_new_session=True
+    )
     try:
         time.sleep(START)
         client = ViewerClient.connect(f'rerun+http://127.0.0.1:{PORT}/proxy')
@@ -41,7 +45,7 @@ def draw(recording: Path, picture: Path, window: int | None) -> None:
         time.sleep(DRAW)
         shown = Image.open(io.BytesIO(client.take_screenshot())).convert('RGB')
     finally:
-        viewer.terminate()
+        os.killpg(viewer.pid, signal.SIGTERM)  # what is called is a script around the viewer
         viewer.wait()
     shown.quantize(COLOURS).save(picture, optimize=True)
 

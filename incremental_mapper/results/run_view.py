@@ -72,8 +72,9 @@ class RunView:
             scene.path(_way(state))
 
     def finish(self, result: MapResult, cloud: MapCloud) -> None:
-        """Show the way after the final optimisation; see ``RunWatcher``."""
+        """Show the way after the final optimisation, all of it; see ``RunWatcher``."""
         self._scene.path(result.trajectory.positions)
+        self._scene.overlook(result.trajectory.positions)
 
     def _turn(self, state: GraphState) -> None:
         """Follow the map where it becomes east, north, up."""

@@ -45,7 +45,7 @@ class NodeView:
         """Add a window's points."""
         self._at(heard)
         message = heard.message
-        table = np.frombuffer(message.data, dtype='<f4').reshape(message.width, -1)
+        table = np.frombuffer(message.data, dtype='<f4').reshape(-1, message.point_step // 4)
         step = max(-(-len(table) // POINTS_OF_A_WINDOW), 1)
         self._scene.points(table[::step, :3], self._height)
 
@@ -104,7 +104,7 @@ def show_node(name: str, save: Path | None, domain: int) -> int:
         InputError: Rerun is not installed, or its viewer does not start.
         OutputError: The file cannot be written.
     """
-    scene = RerunScene(save)
+    scene = RerunScene(save, candidates=False)
     view = NodeView(scene)
     own = name.strip('/')
     window, latched = reliable(WINDOW_DEPTH), reliable(1, latched=True)

@@ -65,12 +65,13 @@ class ShownCandidate:
 class RerunScene:
     """Logs a run into one recording; every method logs at the time that ``at`` has set."""
 
-    def __init__(self, save: Path | None, spawn: bool = True) -> None:
+    def __init__(self, save: Path | None, spawn: bool = True, candidates: bool = True) -> None:
         """Begin a recording.
 
         Args:
             save: The file that it is written to; None keeps none.
             spawn: Open a viewer and stream into it, where nothing is saved.
+            candidates: Have room for those of each window.
 
         Raises:
             InputError: Rerun is not installed, or its viewer does not start.
@@ -80,7 +81,7 @@ class RerunScene:
         self._turns = 0
         self._filled: set[str] = set()  # parts of the graph that show something
         self._stream = rr.RecordingStream(APPLICATION)
-        blueprint = _blueprint(tracking_entity=CAR, look_target=np.zeros(3), distance=_FOLLOWED)
+        blueprint = _blueprint(np.zeros(3), _FOLLOWED, CAR, candidates)
         if save is not None:
             try:
                 self._stream.save(save, default_blueprint=blueprint)
@@ -101,14 +102,16 @@ class RerunScene:
         self._log(SCORES, lines, static=True)
 
     def overlook(self, positions: NDArray[np.float64]) -> None:
-        """Let the eye see all of a way (N, 3), metres, where it would follow the car.
+        """Let the eye see all of a way (N, 3), metres, where it has followed the car.
+
+        A viewer that opens a file far from its beginning does not find the car to follow.
 
         Args:
             positions: Of the whole run.
         """
         low, high = positions.min(axis=0), positions.max(axis=0)
         distance = max(1.25 * float(np.linalg.norm(high - low)), _FOLLOWED)
-        self._stream.send_blueprint(_blueprint(0.5 * (low + high), distance))
+        self._stream.send_blueprint(_blueprint(0.5 * (low + high), distance), make_active=False)
 
     def at(self, stamp: int, window: int) -> None:
         """Set the time.
@@ -280,7 +283,10 @@ def check_rrd(path: Path) -> None:
 
 
 def _blueprint(
-    look_target: NDArray[np.float64], distance: float, tracking_entity: str | None = None
+    look_target: NDArray[np.float64],
+    distance: float,
+    tracking_entity: str | None = None,
+    candidates: bool = True,
 ) -> Any:
     """How the viewer is laid out at first, and where its eye is: ``distance`` metres away."""
     import rerun.blueprint as rrb
@@ -306,25 +312,19 @@ def _blueprint(
         ),
         overrides={place: until_now for place in _ADDED_UP},
     )
+    scores = rrb.TimeSeriesView(origin=SCORES, name='score of each window')
+    chart = rrb.BarChartView(
+        origin=f'{CANDIDATES}/scores',
+        name="this window's candidates: score, % above the lowest",
+        plot_legend=rrb.PlotLegend(visible=False),
+    )
+    table = rrb.TextDocumentView(origin=f'{CANDIDATES}/table', name="this window's best candidates")
+    numbers = rrb.TimeSeriesView(
+        origin=NUMBERS, contents=_other_numbers(), name='candidates, solver error'
+    )
+    panels = (scores, chart, table, numbers) if candidates else (scores, numbers)
     return rrb.Blueprint(
-        rrb.Horizontal(
-            scene,
-            rrb.Vertical(
-                rrb.TimeSeriesView(origin=SCORES, name='score of each window'),
-                rrb.BarChartView(
-                    origin=f'{CANDIDATES}/scores',
-                    name="this window's candidates: score, % above the lowest",
-                    plot_legend=rrb.PlotLegend(visible=False),
-                ),
-                rrb.TextDocumentView(
-                    origin=f'{CANDIDATES}/table', name="this window's best candidates"
-                ),
-                rrb.TimeSeriesView(
-                    origin=NUMBERS, contents=_other_numbers(), name='candidates, solver error'
-                ),
-            ),
-            column_shares=[3, 2],
-        ),
+        rrb.Horizontal(scene, rrb.Vertical(*panels), column_shares=[3, 2]),
         rrb.TimePanel(timeline=STAMP, state='collapsed', play_state='following'),
         collapse_panels=True,
     )
