@@ -19,7 +19,7 @@ INSTALLED := .venv/.installed
 MAPPER := $(BIN)/incremental_mapper
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help install demo bare colcon table bench test mutants lint types check format docs pictures clean
+.PHONY: help install demo bare colcon table bench test mutants lint types check format docs pictures view-pictures clean
 
 help:
 	@echo 'make demo    simulate a drive of DEMO_SECONDS ($(DEMO_SECONDS)) seconds, map it, draw it, play it'
@@ -39,6 +39,7 @@ help:
 	@echo 'make format  let ruff mend formatting and imports'
 	@echo 'make docs    the pages in site/, and whether all that they tell people to type exists'
 	@echo 'make pictures  draw the pictures of the pages again, from a simulated drive'
+	@echo 'make view-pictures  the same of the pictures of Rerun; needs Vulkan'
 	@echo 'make clean   remove .venv, caches, site and the output of demo, table, bench, pictures and mutants'
 	@echo 'PYTHON=python3.12 chooses the interpreter that .venv is made with (3.11 or later)'
 
@@ -121,6 +122,15 @@ pictures: $(INSTALLED)
 		--strategies base,mom
 	$(BIN)/python docs/tools/pictures.py $(PICTURES_DIR)/runs/drive $(PICTURES_DIR)/drive docs/pictures
 	$(BIN)/python examples/figure2.py docs/figure2.png
+
+# Needs Vulkan; without a graphics card: apt-get install mesa-vulkan-drivers
+view-pictures: $(INSTALLED)
+	$(BIN)/python -m pip install --quiet --editable '.[view]'
+	$(MAPPER) simulate $(PICTURES_DIR)/drive --scene street --motion mixed --duration 60 --seed 1 --force
+	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python docs/tools/rerun_pictures.py --live docs/pictures/rerun_live.png 12 \
+		$(MAPPER) map $(PICTURES_DIR)/drive $(PICTURES_DIR)/shown --config config/kaist.yaml --force --view
+	$(MAPPER) view $(PICTURES_DIR)/shown --save $(PICTURES_DIR)/shown.rrd
+	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python docs/tools/rerun_pictures.py $(PICTURES_DIR)/shown.rrd docs/pictures/rerun_run.png
 
 clean:
 	rm -rf .venv $(DEMO_DIR) $(BENCH_DIR) $(TABLE_DIR) $(PICTURES_DIR) $(MUTANTS_DIR) site build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache \

@@ -1,9 +1,11 @@
-"""Draw what Rerun shows of a recording, without a screen.
+"""Draw what Rerun shows, without a screen.
 
     python docs/tools/rerun_pictures.py RECORDING.rrd PICTURE.png [WINDOW]
+    python docs/tools/rerun_pictures.py --live PICTURE.png SECONDS incremental_mapper map ... --view
 
-The time is set to WINDOW, or to the end. Needs rerun-sdk 0.41 or later, and Vulkan, of which there
-is one without a graphics card (``apt-get install mesa-vulkan-drivers``).
+The time is set to WINDOW, or to the end; live, the picture is taken after so many SECONDS of the
+command. Needs rerun-sdk 0.41 or later, and Vulkan, of which there is one without a graphics card
+(``apt-get install mesa-vulkan-drivers``).
 """
 
 import io
@@ -12,51 +14,67 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from PIL import Image
 from rerun.experimental import ViewerClient
 
 SIZE = '1400x800'
-PORT = 9917
+PORT = 9876
+"""Rerun's own: a command with --view sends to the viewer that is there."""
 START, DRAW = 4.0, 6.0
 """Seconds until the viewer answers, and until it has drawn what was opened."""
-COLOURS = 200
+COLOURS = 96
 
 
-def draw(recording: Path, picture: Path, window: int | None) -> None:
-    """Open a recording in a viewer of its own, and save what it shows.
+@contextmanager
+def viewer(*recording: str) -> Iterator[None]:
+    """Run a viewer while the block runs.
 
     Args:
-        recording: A file of ``--rrd`` or ``view --save``.
-        picture: PNG that is written.
-        window: Where in the drive; None is its end.
+        recording: What it opens, if anything.
     """
-    words = ['rerun', str(recording.absolute()), '--headless', '--window-size', SIZE]
+    words = ['rerun', *recording, '--headless', '--window-size', SIZE, '--port', str(PORT)]
     silent = subprocess.DEVNULL
-    viewer = subprocess.Popen(
-        [*words, '--port', str(PORT)], stdout=silent, stderr=silent, start_new_session=True
-    )
+    shown = subprocess.Popen(words, stdout=silent, stderr=silent, start_new_session=True)
     try:
         time.sleep(START)
-        client = ViewerClient.connect(f'rerun+http://127.0.0.1:{PORT}/proxy')
-        if window is not None:
-            client.set_time('window', sequence=window, play_state='paused')
-        time.sleep(DRAW)
-        shown = Image.open(io.BytesIO(client.take_screenshot())).convert('RGB')
+        yield
     finally:
-        os.killpg(viewer.pid, signal.SIGTERM)  # what is called is a script around the viewer
-        viewer.wait()
+        os.killpg(shown.pid, signal.SIGTERM)  # what is called is a script around the viewer
+        shown.wait()
+
+
+def save(client: ViewerClient, picture: Path) -> None:
+    """Save what a viewer shows as a small PNG."""
+    shown = Image.open(io.BytesIO(client.take_screenshot())).convert('RGB')
     shown.quantize(COLOURS).save(picture, optimize=True)
+    print(picture)
+
+
+def client() -> ViewerClient:
+    """Somebody who may ask the viewer."""
+    return ViewerClient.connect(f'rerun+http://127.0.0.1:{PORT}/proxy')
 
 
 def main() -> None:
     """Draw what the arguments name."""
     words = sys.argv[1:]
-    if len(words) not in (2, 3):
+    if words[:1] == ['--live'] and len(words) > 3:
+        with viewer(), subprocess.Popen(words[3:]):
+            time.sleep(float(words[2]))
+            save(client(), Path(words[1]))
+    elif len(words) in (2, 3):
+        with viewer(str(Path(words[0]).absolute())):
+            asked = client()
+            if len(words) == 3:
+                asked.set_time('window', sequence=int(words[2]), play_state='paused')
+            time.sleep(DRAW)
+            save(asked, Path(words[1]))
+    else:
         sys.exit(__doc__)
-    draw(Path(words[0]), Path(words[1]), int(words[2]) if len(words) == 3 else None)
-    print(words[1])
 
 
 if __name__ == '__main__':

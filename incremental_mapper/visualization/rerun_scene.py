@@ -7,7 +7,7 @@ map, fixes) is logged once and shown for all time before the cursor; the rest is
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,9 +36,9 @@ POINT, LINE, WAY, POSE = 0.8, 0.8, 2.2, 1.3
 """Radii on the screen, in its points: walls of thick points would hide the street between them, and
 a way a hand wide is not seen from where the whole drive is."""
 _FROM = np.array([0.0, -0.5, 0.85])
-"""Direction from the map to the eye: over the roofs into the streets."""
-_FOLLOWED = 90.0
-"""Metres from the eye to a car that it follows."""
+"""Direction from the map to the eye."""
+_NEAREST = 60.0
+"""Metres from which the eye looks at least, when a car hardly moves."""
 _SIGMAS = 3.0
 """Half axes of a fix's ellipsoid are so many standard deviations."""
 _LOW, _HIGH = -3.0, 12.0
@@ -47,6 +47,8 @@ that way and graph are seen on it."""
 _RAMP = np.array([[200, 205, 212], [150, 172, 190], [70, 140, 160], [225, 180, 70], [225, 95, 60]])
 _SHOWN = 12
 """Candidates in the table of a window, the best of them."""
+Eye: TypeAlias = tuple[NDArray[np.float64], NDArray[np.float64]]
+"""Where it is and what it looks at, (3,) each, metres."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +83,7 @@ class RerunScene:
         self._turns = 0
         self._filled: set[str] = set()  # parts of the graph that show something
         self._stream = rr.RecordingStream(APPLICATION)
-        blueprint = _blueprint(np.zeros(3), _FOLLOWED, CAR, candidates)
+        blueprint = _blueprint(candidates)
         if save is not None:
             try:
                 self._stream.save(save, default_blueprint=blueprint)
@@ -102,16 +104,16 @@ class RerunScene:
         self._log(SCORES, lines, static=True)
 
     def overlook(self, positions: NDArray[np.float64]) -> None:
-        """Let the eye see all of a way (N, 3), metres, where it has followed the car.
-
-        A viewer that opens a file far from its beginning does not find the car to follow.
+        """Let the eye look down on all of a way, over the roofs into the streets.
 
         Args:
-            positions: Of the whole run.
+            positions: Of the whole run (N, 3), metres.
         """
         low, high = positions.min(axis=0), positions.max(axis=0)
-        distance = max(1.25 * float(np.linalg.norm(high - low)), _FOLLOWED)
-        self._stream.send_blueprint(_blueprint(0.5 * (low + high), distance), make_active=False)
+        distance = max(1.25 * float(np.linalg.norm(high - low)), _NEAREST)
+        middle = 0.5 * (low + high)
+        layout = _blueprint(eye=(middle + distance * _FROM, middle))
+        self._stream.send_blueprint(layout, make_active=False)
 
     def at(self, stamp: int, window: int) -> None:
         """Set the time.
@@ -282,13 +284,8 @@ def check_rrd(path: Path) -> None:
         raise OutputError(f'{path}: cannot be written (no such folder)')
 
 
-def _blueprint(
-    look_target: NDArray[np.float64],
-    distance: float,
-    tracking_entity: str | None = None,
-    candidates: bool = True,
-) -> Any:
-    """How the viewer is laid out at first, and where its eye is: ``distance`` metres away."""
+def _blueprint(candidates: bool = True, eye: Eye | None = None) -> Any:
+    """How the viewer is laid out at first; without an eye Rerun looks at all there is so far."""
     import rerun.blueprint as rrb
 
     until_now = rrb.VisibleTimeRanges(
@@ -305,11 +302,9 @@ def _blueprint(
         origin='map',
         name='map',
         background=[245, 245, 245],
-        eye_controls=rrb.EyeControls3D(
-            position=look_target + distance * _FROM,
-            look_target=look_target,
-            tracking_entity=tracking_entity,
-        ),
+        eye_controls=None
+        if eye is None
+        else rrb.EyeControls3D(position=eye[0], look_target=eye[1]),
         overrides={place: until_now for place in _ADDED_UP},
     )
     scores = rrb.TimeSeriesView(origin=SCORES, name='score of each window')
@@ -336,6 +331,8 @@ def _other_numbers() -> list[str]:
 
 def _table(ranked: Sequence[ShownCandidate], score_name: str) -> str:
     """The best candidates, and the winner where it is none of them, as Markdown."""
+    if not ranked:
+        return 'no candidates: there was nothing to choose in this window'
     shown = [item for place, item in enumerate(ranked) if place < _SHOWN or item.winner]
     lines = [
         f'{len(ranked)} candidates, score: {SCORE_NAMES.get(score_name, score_name) or "none"}',

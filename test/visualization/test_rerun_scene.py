@@ -46,6 +46,10 @@ def test_table_has_the_best_and_the_winner_wherever_it_is():
     assert all('left / right' in row for row in rows[:-1])  # a stroke would end the cell
 
 
+def test_window_without_candidates_has_no_empty_table():
+    assert rerun_scene._table([], '') == 'no candidates: there was nothing to choose in this window'
+
+
 def test_colours_run_with_the_height_above_the_car():
     colours = rerun_scene._colours(np.array([-50.0, -3.0, 12.0, 90.0]))
     assert np.array_equal(colours[0], colours[1]) and np.array_equal(colours[2], colours[3])
