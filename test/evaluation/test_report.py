@@ -392,6 +392,24 @@ def test_a_sweep_of_confidences_is_drawn_as_a_line_from_point_to_point():
     assert list(line.get_ydata()) == [31.0, 59.0], 'in the order of the confidences'
 
 
+def test_base_far_away_does_not_squeeze_what_the_strategies_differ_in():
+    points = {
+        'base': (0.80, 0.0),
+        'mom@0': (0.49, 63.3),
+        'mom@0.5': (0.48, 63.5),
+        'mom@0.95': (0.49, 72.8),
+        'mom@0.99': (0.50, 73.3),
+    }
+    figure = trade_figure(points, FLAT)
+    (axes,) = figure.axes
+    ends = [axes.transLimits.transform(points[label]) for label in ('mom@0.5', 'mom@0.99')]
+    assert min(abs(ends[1] - ends[0])) > 0.5
+    assert 'base: 0.8 cm, 0 %' in [text.get_text() for text in axes.texts]
+    near = dict(points) | {'base': (0.52, 60.0)}
+    (axes,) = trade_figure(near, FLAT).axes
+    assert 'base' in [text.get_text() for text in axes.texts]
+
+
 def test_two_strategies_or_no_truth_make_no_chart_of_the_trade():
     assert trade_picture(entries_of({'base': (0, 0.1), 'mom': (30, 0.1)}), ('base', 'mom')) is None
     blind = {'base': (0, None), 'mom': (30, None), 'fewest': (50, None)}

@@ -28,6 +28,11 @@ SETTLED = 20
 MIN_TRUE_POSES = 3
 WIDE = 4.0
 """Ratio of errors from which on their axis is logarithmic."""
+ALONG = 30
+"""Points of a stretch of a line where no label may be."""
+SQUEEZED = 0.35
+"""Share of both axes up to which strategies lie so close together, seen from base, that base is
+told at the rim of their chart."""
 
 
 def progress_figure(
@@ -85,6 +90,9 @@ def progress_figure(
 def trade_figure(points: Mapping[str, tuple[float, float]], look: Look) -> 'Figure':
     """What the strategies save against what it costs, a point each.
 
+    Where base is so far off that the others would lie on one spot, the chart is theirs, and base is
+    told at its rim.
+
     Args:
         points: RPE per second, cm, and variables saved, %, by label. Labels of one strategy with
             several confidences, NAME@X, are joined by a line.
@@ -94,6 +102,8 @@ def trade_figure(points: Mapping[str, tuple[float, float]], look: Look) -> 'Figu
     axes = figure.add_axes(box(look, 62, 50, 14, 26))
     names = tuple(dict.fromkeys(label.partition('@')[0] for label in points))
     colours = strategy_colours(names, look.theme)
+    aside = {BASE: points[BASE]} if _squeezed(points) else {}
+    points = {label: point for label, point in points.items() if label not in aside}
     sweeps: dict[str, list[tuple[float, tuple[float, float]]]] = {}
     for label, point in points.items():
         name, mark, confidence = label.partition('@')
@@ -113,16 +123,50 @@ def trade_figure(points: Mapping[str, tuple[float, float]], look: Look) -> 'Figu
     _tidy(axes, 'variables saved, %', look, last=True)
     axes.set_xlabel('RPE per second, cm: further left is better')
     _label(axes, points, look)
+    for label, point in aside.items():
+        _at_the_rim(axes, f'{label}: {point[0]:.2g} cm, {point[1]:.0f} %', point, look)
     return figure
 
 
+def _squeezed(points: Mapping[str, tuple[float, float]]) -> bool:
+    """Whether base is so far from all others that their differences would not be seen."""
+    others = np.array([point for label, point in points.items() if label != BASE])
+    if BASE not in points or len(others) < 2:
+        return False
+    whole = np.ptp(np.vstack([others, points[BASE]]), axis=0)
+    return bool((np.ptp(others, axis=0) < SQUEEZED * whole).all())
+
+
+def _at_the_rim(axes: 'Axes', text: str, point: tuple[float, float], look: Look) -> None:
+    """Write in the corner on whose side a point lies that is not shown, with an arrow to it."""
+    shown = axes.transData.inverted().transform(axes.transAxes.transform((0.5, 0.5)))
+    right, up = point[0] > shown[0], point[1] > shown[1]
+    axes.annotate(
+        text,
+        (0.99 if right else 0.01, 0.98 if up else 0.02),
+        (-26 if right else 26, -16 if up else 16),
+        xycoords='axes fraction',
+        textcoords='offset points',
+        ha='right' if right else 'left',
+        va='center',
+        fontsize=look.text,
+        color=look.theme.ink,
+        arrowprops={'arrowstyle': '->', 'color': look.theme.grey},
+    )
+
+
 def _label(axes: 'Axes', points: Mapping[str, tuple[float, float]], look: Look) -> None:
-    """Write each label beside its point, where no other label and no point is."""
+    """Write each label beside its point, where no other label, no point and no line is."""
     axes.get_xlim(), axes.get_ylim()  # what it shows is settled when it is asked for
     spots = {label: axes.transData.transform(point) for label, point in points.items()}
     pixel = axes.figure.dpi / 72.0
+    covered = [axes.transData.transform(line.get_xydata()) for line in axes.lines]
+    shares = np.linspace(0.0, 1.0, ALONG)[:, None]
     taken = [
-        (x - 5 * pixel, y - 5 * pixel, x + 5 * pixel, y + 5 * pixel) for x, y in spots.values()
+        (x - 5 * pixel, y - 5 * pixel, x + 5 * pixel, y + 5 * pixel)
+        for ends in covered
+        for start, end in zip(ends, np.vstack([ends[1:], ends[-1:]]), strict=True)
+        for x, y in start + shares * (end - start)
     ]
     frame = axes.bbox
     for label, (x, y) in spots.items():
