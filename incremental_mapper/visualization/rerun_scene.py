@@ -128,7 +128,7 @@ class RerunScene:
     def points(self, points: NDArray[np.floating], height: float) -> None:
         """Add points (N, 3 or more) to the map, metres; ``height`` is that of base_link there."""
         positions = points[:, :3].astype(np.float32)
-        colours = _colours(positions[:, 2] - height)
+        colours = _packed(_colours(positions[:, 2] - height))
         radius = self._rr.Radius.ui_points(POINT)
         shown = self._rr.Points3D(positions, colors=colours, radii=radius)
         self._log(f'{POINTS}/{self._turns}', shown)
@@ -228,8 +228,6 @@ class RerunScene:
         scores = np.array([item.score for item in ranked if item.score is not None])
         winner = next((item.score for item in ranked if item.winner), None)
         if len(scores):
-            # From zero up all bars would be as good as equal.
-            self._log(f'{CANDIDATES}/scores', rr.BarChart(100.0 * (scores / scores[0] - 1.0)))
             three = [np.nan if winner is None else winner, scores[0], float(np.median(scores))]
             self._log(SCORES, rr.Scalars(three))
         text = _table(ranked, score_name)
@@ -308,16 +306,11 @@ def _blueprint(candidates: bool = True, eye: Eye | None = None) -> Any:
         overrides={place: until_now for place in _ADDED_UP},
     )
     scores = rrb.TimeSeriesView(origin=SCORES, name='score of each window')
-    chart = rrb.BarChartView(
-        origin=f'{CANDIDATES}/scores',
-        name="this window's candidates: score, % above the lowest",
-        plot_legend=rrb.PlotLegend(visible=False),
-    )
     table = rrb.TextDocumentView(origin=f'{CANDIDATES}/table', name="this window's best candidates")
     numbers = rrb.TimeSeriesView(
         origin=NUMBERS, contents=_other_numbers(), name='candidates, solver error'
     )
-    panels = (scores, chart, table, numbers) if candidates else (scores, numbers)
+    panels = (scores, table, numbers) if candidates else (scores, numbers)
     return rrb.Blueprint(
         rrb.Horizontal(scene, rrb.Vertical(*panels), column_shares=[3, 2]),
         rrb.TimePanel(timeline=STAMP, state='collapsed', play_state='following'),
@@ -337,17 +330,23 @@ def _table(ranked: Sequence[ShownCandidate], score_name: str) -> str:
     lines = [
         f'{len(ranked)} candidates, score: {SCORE_NAMES.get(score_name, score_name) or "none"}',
         '',
-        '| | score | vertices | time shift s | solver error | clusters |',
-        '|---|--:|--:|--:|--:|---|',
+        '| | score | % above the lowest | vertices | time shift s | solver error | clusters |',
+        '|---|--:|--:|--:|--:|--:|---|',
     ]
     for item in shown:
         mark = '**winner**' if item.winner else 'ties' if item.tied else ''
         members = item.members.replace('|', ' / ')
         lines.append(
-            f'| {mark} | {_number(item.score)} | {item.vertices} | {item.time_shift:.4f} '
+            f'| {mark} | {_number(item.score)} | {_above(item.score, ranked[0].score)} '
+            f'| {item.vertices} | {item.time_shift:.4f} '
             f'| {_number(item.solver_error)} | {members} |'
         )
     return '\n'.join(lines)
+
+
+def _above(score: float | None, lowest: float | None) -> str:
+    """By how many percent a score is above the lowest, which differ in the fourth digit."""
+    return f'{100.0 * (score / lowest - 1.0):.3f}' if score is not None and lowest else ''
 
 
 def _number(value: float | None) -> str:
@@ -360,6 +359,13 @@ def _colours(heights: NDArray[np.floating]) -> NDArray[np.uint8]:
     stops = np.arange(len(_RAMP))
     channels = [np.interp(share, stops, _RAMP[:, channel]) for channel in range(3)]
     return np.stack(channels, axis=1).astype(np.uint8)
+
+
+def _packed(colours: NDArray[np.uint8]) -> NDArray[np.uint32]:
+    """Opaque colours (N, 3) as Rerun keeps them, 0xRRGGBBAA: it takes three times as long to."""
+    red, green, blue = colours.T.astype(np.uint32)
+    packed: NDArray[np.uint32] = red << 24 | green << 16 | blue << 8 | 255
+    return packed
 
 
 def _bytes(colour: tuple[float, float, float]) -> tuple[int, int, int]:

@@ -42,7 +42,7 @@ def test_table_has_the_best_and_the_winner_wherever_it_is():
     text = rerun_scene._table([*some, winner], 'mom_3')
     rows = text.splitlines()[4:]
     assert len(rows) == rerun_scene._SHOWN + 1
-    assert rows[-1].startswith('| **winner** | 0.5 |') and 'left+right' in rows[-1]
+    assert rows[-1].startswith('| **winner** | 0.5 | 4900.000 |') and 'left+right' in rows[-1]
     assert all('left / right' in row for row in rows[:-1])  # a stroke would end the cell
 
 
