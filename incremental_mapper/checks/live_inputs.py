@@ -199,20 +199,21 @@ def lost_of_reliable(sensor: str, topic: str, count: int) -> Finding:
 
 
 def messages_held_up(sensor: str, topic: str, count: int, longest: float) -> Finding:
-    """Messages were lost on the way and sent again, and all that was sent behind them waited.
+    """Messages that were sent one after the other came at once, as behind one that was lost.
 
     Args:
         sensor: Whose topic it is.
         topic: Its name.
         count: How often that was long.
-        longest: By how many seconds a message came after one that was sent behind it.
+        longest: For how many seconds the first of them was held up.
     """
     return Finding(
         'messages_held_up',
         Severity.WARNING,
         sensor,
-        f'{count} messages of {topic} came up to {longest:.1f} s after others that were sent '
-        'behind them: they were lost on the way and sent again, and the map waited for them',
+        f'{count} times messages of {topic} that were sent one after the other came at once, the '
+        f'first of them {longest:.1f} s late: one was lost on the way and sent again, or the '
+        'machine is too busy; the map waited',
         ROOM,
     )
 

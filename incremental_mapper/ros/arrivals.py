@@ -1,19 +1,20 @@
-"""Messages that were taken, and when: what was lost on the way comes late, and all behind it waits.
+"""Messages that were taken, and whether many came at once that were sent one after the other.
 
 A reliable subscription gives messages in the order in which they were sent. What was lost is sent
-again, by Fast DDS up to 3 s later; what is behind it was received by then, and could not be taken.
+again, by Fast DDS up to 3 s later, and what is behind it comes with it.
 """
 
-import itertools
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 from incremental_mapper.measurements import NANOSECONDS
 
-HELD_UP = 0.3
-"""Seconds that a message comes after one which was sent behind it, from which on it is told."""
+HELD_UP = round(0.3 * NANOSECONDS)
+"""Nanoseconds that a message was on its way longer than one which came with it, to be told."""
+TOGETHER = NANOSECONDS // 20
+"""Nanoseconds between two messages that came at once, at most."""
 
 Taken: TypeAlias = tuple[Any, Mapping[str, Any]]
 """A message as the middleware gives it, and what that knows of it."""
@@ -21,18 +22,10 @@ Taken: TypeAlias = tuple[Any, Mapping[str, Any]]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Arrived:
-    """A message that was taken.
-
-    Attributes:
-        message: It.
-        about: What the middleware knows of it.
-        due: When it could be taken, nanoseconds of the system's clock: when it was received, or one
-            that was sent before it. 0 where the middleware does not know.
-    """
+    """A message that was taken, and what the middleware knows of it."""
 
     message: Any
     about: Mapping[str, Any]
-    due: int
 
     @property
     def received(self) -> int:
@@ -40,26 +33,30 @@ class Arrived:
         return self.about.get('received_timestamp') or time.time_ns()
 
 
-@dataclass(slots=True)
 class HeldUp:
-    """How often and by how much, in seconds, a message came after one that was sent behind it."""
+    """How often messages came at once, and for how many seconds the first of them was held up.
 
-    count: int = 0
-    longest: float = 0.0
-
-    def take(self, received: Sequence[int]) -> None:
-        """Look at the times of receipt (ns) of messages in the order in which they were sent."""
-        for first, second in itertools.pairwise(received):
-            late = (first - second) / NANOSECONDS
-            if second > 0 and late > HELD_UP:
-                self.count += 1
-                self.longest = max(self.longest, late)
-
-
-def when_due(received: Sequence[int]) -> list[int]:
-    """When messages could be taken that one reliable subscription gives.
-
-    Args:
-        received: When they were received, in the order in which they were sent.
+    Only differences count, so the clock of whoever sends may be another one.
     """
-    return list(itertools.accumulate(received, max))
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.longest = 0.0
+        self._received = 0  # when the last message was
+        self._most = 0  # the longest way of those that came with it
+        self._told = False
+
+    def take(self, messages: Iterable[Mapping[str, Any]]) -> None:
+        """Look at what the middleware knows of messages, in the order in which they were sent."""
+        for about in messages:
+            received, sent = about.get('received_timestamp'), about.get('source_timestamp')
+            if not received or not sent:
+                continue
+            way = received - sent
+            if received - self._received > TOGETHER:
+                self._most, self._told = way, False
+            self._received, self._most = received, max(way, self._most)
+            if self._most - way > HELD_UP:
+                self.count += not self._told
+                self._told = True
+                self.longest = max(self.longest, (self._most - way) / NANOSECONDS)

@@ -26,7 +26,7 @@ from incremental_mapper.checks.live_inputs import (
     unheard_publishers,
 )
 from incremental_mapper.errors import ConfigError
-from incremental_mapper.ros.arrivals import Arrived, HeldUp, Taken, when_due
+from incremental_mapper.ros.arrivals import Arrived, HeldUp, Taken
 
 RELIABLE, BEST_EFFORT = ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT
 OVERLAP = 1.0
@@ -124,13 +124,11 @@ class Reception:
         found, self._waiting = self._waiting, []
         for subscription in self._subscriptions.values():
             found += self._drained(subscription)
-        received = [about.get('received_timestamp') or 0 for _, about in found]
-        if not self._overlapping:
-            self._held_up.take(received)
-            received = when_due(received)
+        if not self._overlapping and not self._seen:
+            self._held_up.take(about for _, about in found)
         taken = [
-            Arrived(message, about, due)
-            for (message, about), due in zip(found, received, strict=True)
+            Arrived(message, about)
+            for message, about in found
             if not (self._overlapping or self._seen) or self._is_new(about)
         ]
         if taken:

@@ -164,14 +164,13 @@ class Inputs:
 
         The executor brings one message a round, and a round costs more than a message: what waits
         is taken at once, before the middleware overwrites it. Topic by topic it would be out of
-        order by as long as this thread was kept from running. One topic stays in its order, though
-        a message of it was lost on the way, and came after those that were sent behind it.
+        order by as long as this thread was kept from running.
         """
         batch: list[tuple[_Subscribed, Arrived]] = [
             (place, arrived) for place in self._subscribed for arrived in place.reception.take()
         ]
         # Middleware that does not know when it received leaves the order as it is.
-        batch.sort(key=lambda item: item[1].due)
+        batch.sort(key=lambda item: item[1].about.get('received_timestamp') or 0)
         for place, arrived in batch:
             self._on_message(place, arrived.message, arrived.received)
 
