@@ -30,7 +30,7 @@ POINTS_OF_A_WINDOW = 8000
 """So many points of a window of a finished run."""
 MOST_POSES = 1000
 """So many poses of the way are shown while a run is mapped."""
-PERIOD = round(0.5 * NANOSECONDS)
+PERIOD = NANOSECONDS
 """Time of the drive between two graphs and ways that are shown."""
 NUMBERS = ('solver_error', 'candidates_solved')
 """Columns of windows.csv that are shown over time."""
