@@ -77,12 +77,10 @@ def _judge(one: Stretches, every: Sequence[Stretches], first: int) -> Finding | 
     off = (one.metres > SMALL) & ~_agreed(one, every)
     typical = float(np.median(one.metres))
     if len(one.stamps) >= FEWEST and np.median(one.deviations) > BENT and typical > SMALL:
-        severity = Severity.ERROR  # a decimetre a second is metres in a minute
         text = f'all along the map has a way that is {typical:.1f} m off within {STRETCH:.0f} s'
     elif len(sharp := np.flatnonzero(off & (one.deviations > SHARP))):
         worst = sharp[np.argmax(one.metres[sharp])]
         seconds = (int(one.stamps[worst]) - first) / NANOSECONDS
-        severity = Severity.WARNING
         text = (
             f'at {seconds:.1f} s the map has a way that is {one.metres[worst]:.1f} m off within '
             f'{STRETCH:.0f} s'
@@ -93,7 +91,7 @@ def _judge(one: Stretches, every: Sequence[Stretches], first: int) -> Finding | 
         return None
     return Finding(
         'map_bent',
-        severity,
+        Severity.ERROR,  # a decimetre a second is metres in a minute; one bend turns all behind it
         one.sensor,
         f'{text}, held against its matches, far beyond their noise: something else pulls at it',
         'see what pulls: fixes that drift or come late (gnss.time_offset, fixes.min_sigma), an IMU '

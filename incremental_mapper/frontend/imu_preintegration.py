@@ -31,7 +31,8 @@ class ImuSeries:
     """Samples in time order: stamps (K,) ns, gyro (K, 3) rad/s, acceleration (K, 3) m/s^2.
 
     ``turning`` is what was made of samples and of those before them, maybe without the newest ones,
-    and ``forces`` what spans are made of, where that was asked for.
+    and ``forces`` what spans are made of, where that was asked for. ``doubts`` (K,) are the
+    accelerations that samples may be wrong by, m/s^2; None is none.
     """
 
     stamps: NDArray[np.int64]
@@ -39,6 +40,7 @@ class ImuSeries:
     acceleration: NDArray[np.float64]
     turning: 'Turning | None' = None
     forces: 'SpanForces | None' = None
+    doubts: NDArray[np.float64] | None = None
 
     @property
     def changes(self) -> NDArray[np.float64]:
@@ -60,7 +62,12 @@ class ImuSeries:
         turning = None if self.turning is None else self.turning.part(low, high)
         forces = None if self.forces is None else self.forces.part(low, high)
         return ImuSeries(
-            self.stamps[low:high], self.gyro[low:high], self.acceleration[low:high], turning, forces
+            self.stamps[low:high],
+            self.gyro[low:high],
+            self.acceleration[low:high],
+            turning,
+            forces,
+            None if self.doubts is None else self.doubts[low:high],
         )
 
     def within(self, start: int, end: int) -> 'ImuSeries':
@@ -80,7 +87,12 @@ class ImuSeries:
             unsure: Position of the first sample that may be wrong, as is not known yet: it and all
                 behind it have no say for now.
         """
-        some = ImuSeries(self.stamps[which], self.gyro[which], self.acceleration[which])
+        some = ImuSeries(
+            self.stamps[which],
+            self.gyro[which],
+            self.acceleration[which],
+            doubts=None if self.doubts is None else self.doubts[which],
+        )
         if self.turning is None:
             return some
         first = int(which.argmin()) if not which.all() else len(which)
@@ -107,11 +119,17 @@ class ImuSeries:
 
     def joined_series(self, newer: 'ImuSeries') -> 'ImuSeries':
         """This series with a newer one behind it."""
+        none = self.doubts is None and newer.doubts is None
         return ImuSeries(
             np.append(self.stamps, newer.stamps),
             np.vstack([self.gyro, newer.gyro]),
             np.vstack([self.acceleration, newer.acceleration]),
+            doubts=None if none else np.append(self.all_doubts(), newer.all_doubts()),
         )
+
+    def all_doubts(self) -> NDArray[np.float64]:
+        """``doubts``, with zeros for None."""
+        return np.zeros(len(self.stamps)) if self.doubts is None else self.doubts
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,7 +154,7 @@ class SpanForces:
     """What spans take samples for.
 
     ``forces`` (K, 3) are the accelerations without what a changing turn adds, m/s^2; ``hard`` (K,)
-    are the forces that no vehicle feels, see ``hard_force``.
+    are the forces that no vehicle feels, see ``hard_force``, or no match, the ``doubts``.
     """
 
     forces: NDArray[np.float64]
@@ -152,7 +170,7 @@ def span_forces(samples: ImuSeries, parameters: gtsam.PreintegrationCombinedPara
     gravity = float(np.linalg.norm(parameters.n_gravity))
     return SpanForces(
         samples.acceleration - _swung(samples, parameters.getBodyPSensor()),
-        hard_force(samples.acceleration, gravity),
+        np.maximum(hard_force(samples.acceleration, gravity), samples.all_doubts()),
     )
 
 

@@ -27,6 +27,7 @@ from incremental_mapper.mapping.commit import NOTHING, Committed, commit
 from incremental_mapper.mapping.failed_windows import FailedWindows
 from incremental_mapper.mapping.georeferencing import georeference, without_fixes
 from incremental_mapper.mapping.imu_gate import ImuGate
+from incremental_mapper.mapping.imu_pushes import ImuPushes
 from incremental_mapper.mapping.joining import join, joinable
 from incremental_mapper.mapping.measurement_intake import IMU, ClosedWindow
 from incremental_mapper.mapping.newest_state import NewestState, newest_state
@@ -95,6 +96,7 @@ class IncrementalGraph:
         self._watch = watch
         self._parameters = preintegration_parameters(config.preintegration, config.imu.matrix())
         self._series, self._gate = EMPTY_SERIES, ImuGate()
+        self._pushes = ImuPushes(config.imu.matrix())
         self._around = EMPTY_SERIES  # samples before and behind the newest cluster
         self._orientation: NDArray[np.float64] | None = None
         self._standstill = Standstill()
@@ -125,7 +127,7 @@ class IncrementalGraph:
         prepared = [item for part in begun for item in self._front_end.collect(part)]
         turn = self._config.imu.matrix()[:3, :3]
         gated = self._gate.take(self._series.joined(window.imu), prepared, turn)
-        self._series = gated.series
+        self._series = self._pushes.take(gated.series, prepared)
         if len(gated.refused.stamps):
             self.drops[IMU, 'contradicted'] += len(gated.refused.stamps)
             self._watch.contradicted(gated.refused.stamps)

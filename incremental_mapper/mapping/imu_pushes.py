@@ -1,0 +1,218 @@
+"""Accelerations that drive a velocity which no match knows of: an IMU that is pushed.
+
+What a push adds is no more than a vehicle may feel, so that no single sample tells it. But it adds
+up: after some tenths of a second the IMU has gathered a speed that matches do not see.
+"""
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from incremental_mapper.compiled import kernel
+from incremental_mapper.frontend.front_end import Prepared
+from incremental_mapper.frontend.imu_preintegration import ImuSeries
+from incremental_mapper.frontend.match_noise import weak_directions
+from incremental_mapper.frontend.prepared_scan import PreparedScan
+from incremental_mapper.measurements import NANOSECONDS
+
+Array = NDArray[np.float64]
+
+LONGEST = 0.35
+"""Seconds; a match over more time has no one velocity."""
+LEARNED = 4.0
+"""Seconds of matches that tell gravity, as the IMU feels it and its bias with it."""
+FEWEST, LEAST = 12, 2.0
+"""Matches, and seconds that they are spread over, from which gravity is told."""
+GATHERING, BESIDE = 0.5, 0.3
+"""Seconds over which a push is looked for, and of matches whose mean is the velocity before them;
+that behind is of half as many, so that a push is known early."""
+GATHERED = 0.6
+"""m/s that an IMU gathers at least, and no match knows of, where it is pushed."""
+UNUSUAL = 6.0
+"""So many times the usual difference it is at least."""
+USUAL = 20
+"""Windows that tell which difference is usual."""
+COHERENT = 5.0
+"""So many times the push is doubted: spans take their noise for new at each, and it stays."""
+PATIENCE = 3.0
+"""Seconds of a push after which gravity is learned anew: what stays so long is a new bias."""
+HOLE = 0.25
+"""Seconds without samples behind which all begins anew."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Row:
+    """How fast a match went beyond the IMU (3,), m/s, at a moment, seconds."""
+
+    moment: float
+    beyond: Array
+
+
+class ImuPushes:
+    """Holds what the IMU gathers against the matches, window by window.
+
+    Everything is in the axes that the IMU had at first, carried on by its gyroscope: gravity is
+    a slope of the difference between the two velocities there, and the same one for seconds.
+    """
+
+    def __init__(self, T_base_imu: Array) -> None:
+        """Make ready for an IMU at this pose (4, 4) in base_link."""
+        self._turn, self._arm = T_base_imu[:3, :3], T_base_imu[:3, 3]
+        self._slope: Array | None = None
+        self._usual: deque[float] = deque(maxlen=USUAL)
+        self._begin_anew(0)
+
+    def _begin_anew(self, stamp: int) -> None:
+        self._origin = self._last = stamp
+        self._moments = np.zeros(0)
+        self._turns = np.zeros((0, 3, 3))
+        self._speeds, self._ways = np.zeros((0, 3)), np.zeros((0, 3))
+        self._rows: list[_Row] = []
+        self._since: float | None = None
+        self._calm = 0.0
+
+    def take(self, series: ImuSeries, prepared: Sequence[Prepared]) -> ImuSeries:
+        """Doubt the samples of a window that gather what no match knows of.
+
+        Args:
+            series: Samples that no span has used yet, in the IMU's frame.
+            prepared: Core measurements of the window.
+
+        Returns:
+            The series, with its ``doubts``.
+        """
+        self._integrate(series)
+        new = [row for item in prepared if (row := self._row(item)) is not None]
+        if not new:
+            return series
+        last = max(row.moment for row in new)
+        kept = [row for row in self._rows if row.moment > last - LEARNED]
+        self._rows = sorted([*kept, *new], key=lambda row: row.moment)
+        doubted = self._doubted(last)
+        self._learn(last, doubted is not None)
+        if doubted is None:
+            return series
+        since, push = doubted
+        which = series.stamps >= self._origin + round(since * NANOSECONDS)
+        before = np.zeros(len(which)) if series.doubts is None else series.doubts
+        return replace(series, doubts=np.where(which, np.maximum(before, push), before))
+
+    def _integrate(self, series: ImuSeries) -> None:
+        """Take in the samples that are new."""
+        low = int(np.searchsorted(series.stamps, self._last, side='right'))
+        stamps = series.stamps[low:]
+        if len(stamps) == 0:
+            return
+        if len(self._moments) == 0 or stamps[0] - self._last > HOLE * NANOSECONDS:
+            self._begin_anew(int(stamps[0]))
+            self._slope = None
+            self._turns, self._speeds = np.eye(3)[None], np.zeros((1, 3))
+            self._ways, self._moments = np.zeros((1, 3)), np.zeros(1)
+            low, stamps = low + 1, stamps[1:]
+            if len(stamps) == 0:
+                return
+        moments = (stamps - self._origin) / NANOSECONDS
+        made = _carried(
+            self._turns[-1],
+            self._speeds[-1],
+            self._ways[-1],
+            np.diff(moments, prepend=self._moments[-1]),
+            series.gyro[low:] @ self._turn.T,
+            series.acceleration[low:] @ self._turn.T,
+        )
+        keep = int(np.searchsorted(self._moments, moments[-1] - 2.0))
+        self._moments = np.append(self._moments[keep:], moments)
+        self._turns = np.concatenate([self._turns[keep:], made[0]])
+        self._speeds = np.concatenate([self._speeds[keep:], made[1]])
+        self._ways = np.concatenate([self._ways[keep:], made[2]])
+        self._last = int(stamps[-1])
+
+    def _row(self, item: Prepared) -> _Row | None:
+        """What a match says, if the samples cover it and it is held in all directions."""
+        if not isinstance(item, PreparedScan) or item.previous is None:
+            return None
+        if item.covariance is not None and weak_directions(item.covariance):
+            return None
+        assert item.T_previous_current is not None
+        start = (item.previous - self._origin) / NANOSECONDS
+        end = (item.core.stamp - self._origin) / NANOSECONDS
+        known = self._moments
+        if not 0.0 < end - start < LONGEST or len(known) < 2:
+            return None
+        if start < known[0] or end > known[-1] + (known[-1] - known[-2]):
+            return None
+        motion = item.T_previous_current
+        shift = motion.translation() - self._arm + motion.rotation().matrix() @ self._arm
+        low = min(max(int(np.searchsorted(known, start)) - 1, 0), len(known) - 2)
+        share = (start - known[low]) / (known[low + 1] - known[low])
+        turned = (1.0 - share) * (self._turns[low] @ shift) + share * self._turns[low + 1] @ shift
+        own = [np.interp((start, end), known, column) for column in self._ways.T]
+        gathered = np.array([pair[1] - pair[0] for pair in own])
+        gathered += max(end - known[-1], 0.0) * self._speeds[-1]
+        return _Row(0.5 * (start + end), (turned - gathered) / (end - start))
+
+    def _doubted(self, last: float) -> tuple[float, float] | None:
+        """Since which moment samples are doubted, and by how much, m/s^2; None where none are."""
+        if self._slope is None:
+            return None  # nothing is known yet
+        before = self._mean(self._slope, last - GATHERING - BESIDE, last - GATHERING)
+        behind = self._mean(self._slope, last - BESIDE / 2.0, last)
+        if before is None or behind is None:
+            return None
+        gathered = float(np.linalg.norm(behind - before))
+        usual = float(np.median(self._usual)) if len(self._usual) == USUAL else GATHERED
+        if gathered < max(GATHERED, UNUSUAL * usual):
+            self._usual.append(gathered)
+            return None
+        return last - GATHERING, COHERENT * gathered / GATHERING
+
+    def _mean(self, slope: Array, start: float, end: float) -> Array | None:
+        """Mean of the rows in (start, end], without gravity; None where they are too few."""
+        rows = [row.beyond - row.moment * slope for row in self._rows if start < row.moment <= end]
+        return np.mean(rows, axis=0) if len(rows) > 1 else None
+
+    def _learn(self, last: float, pushed: bool) -> None:
+        """Learn gravity from what is calm; behind a push it is the same, and the speed is not."""
+        if pushed:
+            self._since = last if self._since is None else self._since
+            self._calm = last
+            if last - self._since > PATIENCE:
+                self._slope = self._since = None
+            return
+        self._since = None
+        until = last if self._slope is None else last - GATHERING
+        moments = np.array([row.moment for row in self._rows])
+        low, high = np.searchsorted(moments, (max(self._calm, last - LEARNED), until), side='right')
+        moments = moments[low:high]
+        if len(moments) < FEWEST or np.ptp(moments) < LEAST:
+            return
+        centred = moments - moments.mean()
+        beyond = np.array([row.beyond for row in self._rows[low:high]])
+        self._slope = centred @ beyond / (centred @ centred)
+
+
+@kernel
+def _carried(
+    turn: Array, speed: Array, way: Array, steps: Array, rates: Array, forces: Array
+) -> tuple[Array, Array, Array]:
+    """Orientation (K, 3, 3), gathered speed (K, 3) and way (K, 3) behind each step, in seconds.
+
+    Rates and forces (K, 3) are those of the sample at the end of a step.
+    """
+    count = len(steps)
+    turns, speeds, ways = np.empty((count, 3, 3)), np.empty((count, 3)), np.empty((count, 3))
+    for index in range(count):
+        passed = steps[index]
+        x, y, z = rates[index] * passed
+        angle = max(np.sqrt(x * x + y * y + z * z), 1e-9)
+        once, twice = np.sin(angle) / angle, 2.0 * (np.sin(0.5 * angle) / angle) ** 2
+        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        felt = np.ascontiguousarray(turn) @ forces[index]
+        way = way + speed * passed + 0.5 * felt * passed * passed
+        speed = speed + felt * passed
+        turn = np.ascontiguousarray(turn) @ (np.eye(3) + once * cross + twice * (cross @ cross))
+        turns[index], speeds[index], ways[index] = turn, speed, way
+    return turns, speeds, ways
