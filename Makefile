@@ -127,7 +127,7 @@ pictures: $(INSTALLED)
 view-pictures: $(INSTALLED)
 	$(BIN)/python -m pip install --quiet --editable '.[view]'
 	$(MAPPER) simulate $(PICTURES_DIR)/drive --scene street --motion mixed --duration 60 --seed 1 --force
-	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python docs/tools/rerun_pictures.py --live docs/pictures/rerun_live.png 12 \
+	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python docs/tools/rerun_pictures.py --live docs/pictures/rerun_live.png 9 \
 		$(MAPPER) map $(PICTURES_DIR)/drive $(PICTURES_DIR)/shown --config config/kaist.yaml --force --view
 	$(MAPPER) view $(PICTURES_DIR)/shown --save $(PICTURES_DIR)/shown.rrd
 	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python docs/tools/rerun_pictures.py $(PICTURES_DIR)/shown.rrd docs/pictures/rerun_run.png
