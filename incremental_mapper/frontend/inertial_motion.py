@@ -231,15 +231,20 @@ def make_strip(
     columns = np.hstack([series.gyro[near], series.acceleration[near]]).T
     at = np.stack([np.interp(seconds, known, column) for column in columns]).T
     steps = np.diff(seconds)[:, None]
-    turned = _rotations(0.5 * (at[1:, :3] + at[:-1, :3]) * steps)
+    turned = rotations_after(0.5 * (at[1:, :3] + at[:-1, :3]) * steps)
     forces = np.einsum('kij,kj->ki', turned, at[:, 3:])
     velocities = _sums(0.5 * (forces[1:] + forces[:-1]) * steps)
     positions = _sums(velocities[:-1] * steps + (forces[:-1] / 3.0 + forces[1:] / 6.0) * steps**2)
     return Strip(seconds, turned, velocities, positions, arm)
 
 
+def warm_up() -> None:
+    """Compile the kernel of rotations, or load it from disk."""
+    rotations_after(np.zeros((1, 3)))
+
+
 @kernel
-def _rotations(turns: Array) -> Array:
+def rotations_after(turns: Array) -> Array:
     """Rotations (K, 3, 3) after each of some small turns (K - 1, 3), one after the other."""
     rotations = np.empty((len(turns) + 1, 3, 3))
     rotations[0] = np.eye(3)

@@ -6,14 +6,14 @@ up: after some tenths of a second the IMU has gathered a speed that matches do n
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from incremental_mapper.compiled import kernel
 from incremental_mapper.frontend.front_end import Prepared
 from incremental_mapper.frontend.imu_preintegration import ImuSeries
+from incremental_mapper.frontend.inertial_motion import rotations_after
 from incremental_mapper.frontend.match_noise import weak_directions
 from incremental_mapper.frontend.prepared_scan import PreparedScan
 from incremental_mapper.measurements import NANOSECONDS
@@ -43,14 +43,6 @@ HOLE = 0.25
 """Seconds without samples behind which all begins anew."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Row:
-    """How fast a match went beyond the IMU (3,), m/s, at a moment, seconds."""
-
-    moment: float
-    beyond: Array
-
-
 class ImuPushes:
     """Holds what the IMU gathers against the matches, window by window.
 
@@ -70,7 +62,8 @@ class ImuPushes:
         self._moments = np.zeros(0)
         self._turns = np.zeros((0, 3, 3))
         self._speeds, self._ways = np.zeros((0, 3)), np.zeros((0, 3))
-        self._rows: list[_Row] = []
+        # How fast matches went beyond the IMU, m/s, and at which moments, seconds, in their order.
+        self._told, self._beyond = np.zeros(0), np.zeros((0, 3))
         self._since: float | None = None
         self._calm = 0.0
 
@@ -88,9 +81,12 @@ class ImuPushes:
         new = [row for item in prepared if (row := self._row(item)) is not None]
         if not new:
             return series
-        last = max(row.moment for row in new)
-        kept = [row for row in self._rows if row.moment > last - LEARNED]
-        self._rows = sorted([*kept, *new], key=lambda row: row.moment)
+        told = np.append(self._told, [moment for moment, _ in new])
+        beyond = np.vstack([self._beyond, [speed for _, speed in new]])
+        last = max(moment for moment, _ in new)
+        order = np.argsort(told, kind='stable')
+        order = order[told[order] > last - LEARNED]
+        self._told, self._beyond = told[order], beyond[order]
         doubted = self._doubted(last)
         self._learn(last, doubted is not None)
         if doubted is None:
@@ -115,22 +111,22 @@ class ImuPushes:
             if len(stamps) == 0:
                 return
         moments = (stamps - self._origin) / NANOSECONDS
-        made = _carried(
-            self._turns[-1],
-            self._speeds[-1],
-            self._ways[-1],
-            np.diff(moments, prepend=self._moments[-1]),
-            series.gyro[low:] @ self._turn.T,
-            series.acceleration[low:] @ self._turn.T,
-        )
+        steps = np.diff(moments, prepend=self._moments[-1])[:, None]
+        turns = self._turns[-1] @ rotations_after(series.gyro[low:] @ self._turn.T * steps)
+        # What is felt at the end of a step is taken for all of it, along the axes at its beginning.
+        forces = series.acceleration[low:] @ self._turn.T
+        felt = np.einsum('kij,kj->ki', turns[:-1], forces)
+        speeds = self._speeds[-1] + np.cumsum(felt * steps, axis=0)
+        shifts = (speeds - 0.5 * felt * steps) * steps
         keep = int(np.searchsorted(self._moments, moments[-1] - 2.0))
         self._moments = np.append(self._moments[keep:], moments)
-        self._turns = np.concatenate([self._turns[keep:], made[0]])
-        self._speeds = np.concatenate([self._speeds[keep:], made[1]])
-        self._ways = np.concatenate([self._ways[keep:], made[2]])
+        self._turns = np.concatenate([self._turns[keep:], turns[1:]])
+        self._speeds = np.concatenate([self._speeds[keep:], speeds])
+        ways = self._ways[-1] + np.cumsum(shifts, axis=0)
+        self._ways = np.concatenate([self._ways[keep:], ways])
         self._last = int(stamps[-1])
 
-    def _row(self, item: Prepared) -> _Row | None:
+    def _row(self, item: Prepared) -> tuple[float, Array] | None:
         """What a match says, if the samples cover it and it is held in all directions."""
         if not isinstance(item, PreparedScan) or item.previous is None:
             return None
@@ -152,7 +148,7 @@ class ImuPushes:
         own = [np.interp((start, end), known, column) for column in self._ways.T]
         gathered = np.array([pair[1] - pair[0] for pair in own])
         gathered += max(end - known[-1], 0.0) * self._speeds[-1]
-        return _Row(0.5 * (start + end), (turned - gathered) / (end - start))
+        return 0.5 * (start + end), (turned - gathered) / (end - start)
 
     def _doubted(self, last: float) -> tuple[float, float] | None:
         """Since which moment samples are doubted, and by how much, m/s^2; None where none are."""
@@ -171,8 +167,9 @@ class ImuPushes:
 
     def _mean(self, slope: Array, start: float, end: float) -> Array | None:
         """Mean of the rows in (start, end], without gravity; None where they are too few."""
-        rows = [row.beyond - row.moment * slope for row in self._rows if start < row.moment <= end]
-        return np.mean(rows, axis=0) if len(rows) > 1 else None
+        low, high = np.searchsorted(self._told, (start, end), side='right')
+        rows = self._beyond[low:high] - self._told[low:high, None] * slope
+        return rows.mean(axis=0) if len(rows) > 1 else None
 
     def _learn(self, last: float, pushed: bool) -> None:
         """Learn gravity from what is calm; behind a push it is the same, and the speed is not."""
@@ -184,35 +181,10 @@ class ImuPushes:
             return
         self._since = None
         until = last if self._slope is None else last - GATHERING
-        moments = np.array([row.moment for row in self._rows])
-        low, high = np.searchsorted(moments, (max(self._calm, last - LEARNED), until), side='right')
-        moments = moments[low:high]
+        since = max(self._calm, last - LEARNED)
+        low, high = np.searchsorted(self._told, (since, until), side='right')
+        moments = self._told[low:high]
         if len(moments) < FEWEST or np.ptp(moments) < LEAST:
             return
         centred = moments - moments.mean()
-        beyond = np.array([row.beyond for row in self._rows[low:high]])
-        self._slope = centred @ beyond / (centred @ centred)
-
-
-@kernel
-def _carried(
-    turn: Array, speed: Array, way: Array, steps: Array, rates: Array, forces: Array
-) -> tuple[Array, Array, Array]:
-    """Orientation (K, 3, 3), gathered speed (K, 3) and way (K, 3) behind each step, in seconds.
-
-    Rates and forces (K, 3) are those of the sample at the end of a step.
-    """
-    count = len(steps)
-    turns, speeds, ways = np.empty((count, 3, 3)), np.empty((count, 3)), np.empty((count, 3))
-    for index in range(count):
-        passed = steps[index]
-        x, y, z = rates[index] * passed
-        angle = max(np.sqrt(x * x + y * y + z * z), 1e-9)
-        once, twice = np.sin(angle) / angle, 2.0 * (np.sin(0.5 * angle) / angle) ** 2
-        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        felt = np.ascontiguousarray(turn) @ forces[index]
-        way = way + speed * passed + 0.5 * felt * passed * passed
-        speed = speed + felt * passed
-        turn = np.ascontiguousarray(turn) @ (np.eye(3) + once * cross + twice * (cross @ cross))
-        turns[index], speeds[index], ways[index] = turn, speed, way
-    return turns, speeds, ways
+        self._slope = centred @ self._beyond[low:high] / (centred @ centred)

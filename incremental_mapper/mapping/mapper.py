@@ -10,7 +10,7 @@ from incremental_mapper.checks.finding import Finding, ranked
 from incremental_mapper.checks.outcome import Outcome, outcome_findings
 from incremental_mapper.compiled import waiting
 from incremental_mapper.config import Config, Tree
-from incremental_mapper.frontend import preprocessing
+from incremental_mapper.frontend import inertial_motion, preprocessing
 from incremental_mapper.map.store import PointStore, make_store
 from incremental_mapper.mapping.final_solve import final_values
 from incremental_mapper.mapping.incremental_graph import IncrementalGraph
@@ -73,6 +73,7 @@ class Mapper:
         self._intake = MeasurementIntake(config, sensors, predict)
         with waiting():  # while the front end's processes start
             preprocessing.warm_up()
+            inertial_motion.warm_up()
             linear_system.warm_up()
             strategy.warm_up()
             if config.closure.enabled:
