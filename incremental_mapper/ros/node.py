@@ -120,7 +120,11 @@ class MapperNode:
         self._findings = KnownFindings(self._logger)
         self._guard = self.node.create_guard_condition(self._on_updates)
         self._worker = Worker(config, self._take_update)
-        self._inputs = Inputs(self.node, config, self._on_measurement)
+        try:
+            self._inputs = Inputs(self.node, config, self._on_measurement)
+        except ConfigError:
+            self.node.destroy_node()
+            raise
         # By when they reached the middleware: a machine that is busy leaves messages there.
         self._worker.inbox.clock = lambda: self._inputs.moment
         self._watch = InputWatch(self._inputs.topics, config.lidars)
@@ -183,6 +187,7 @@ class MapperNode:
             # Whoever waits for a service gets the answer that came last.
             executor.spin_once(0.0)
         executor.shutdown()
+        self._inputs.close()
         self.node.destroy_node()
         return self._worker.saves.failed == 0
 

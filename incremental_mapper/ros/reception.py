@@ -164,6 +164,11 @@ class Reception:
             for policy in self._subscriptions.keys() - self._due:
                 self._end(policy)
 
+    def close(self) -> None:
+        """Let go of what keeps the subscriptions, and with them the node, beyond their end."""
+        while self._events:
+            self._events.popitem()[1].destroy_when_not_in_use()
+
     def losses(self) -> Losses:
         """What was lost by now."""
         events = sum(self._new_events(policy) for policy in self._events)

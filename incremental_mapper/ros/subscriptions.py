@@ -18,7 +18,7 @@ from incremental_mapper.datasets.message_conversion import (
     scan_from_message,
 )
 from incremental_mapper.datasets.sensor_settings import offset_nanoseconds
-from incremental_mapper.errors import MeasurementError
+from incremental_mapper.errors import ConfigError, MeasurementError
 from incremental_mapper.measurements import NANOSECONDS, Drops, Measurement
 from incremental_mapper.ros.arrivals import Arrived
 from incremental_mapper.ros.clock_log import ClockLog
@@ -84,10 +84,14 @@ class Inputs:
         sensors = {**config.lidars, IMU: config.imu, GNSS: config.gnss}
         self._clocks = ClockLog(tuple(name for name, item in sensors.items() if item.time_offset))
         self._subscribed: list[_Subscribed] = []
-        for name, lidar in config.lidars.items():
-            self._subscribe(name, lidar, f'points_{name}', CLOUDS)
-        self._subscribe(IMU, config.imu, 'imu', SAMPLES)
-        self._subscribe(GNSS, config.gnss, 'fix', FIXES)
+        try:
+            for name, lidar in config.lidars.items():
+                self._subscribe(name, lidar, f'points_{name}', CLOUDS)
+            self._subscribe(IMU, config.imu, 'imu', SAMPLES)
+            self._subscribe(GNSS, config.gnss, 'fix', FIXES)
+        except ConfigError:
+            self.close()
+            raise
         overrides = node.get_parameters_by_prefix('qos_overrides')
         for stray in stray_overrides(overrides, set(self.topics.values())):
             self._logger.warning(
@@ -105,6 +109,11 @@ class Inputs:
         """See who publishes; to be called a few times a second."""
         for place in self._subscribed:
             place.reception.look()
+
+    def close(self) -> None:
+        """To be called before the node is destroyed."""
+        for place in self._subscribed:
+            place.reception.close()
 
     def losses(self) -> dict[str, Losses]:
         """What was sent and never taken, by sensor."""

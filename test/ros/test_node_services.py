@@ -10,20 +10,26 @@ from collections import Counter
 from dataclasses import replace
 from itertools import count
 
+import rclpy
 from rcl_interfaces.srv import DescribeParameters, SetParameters
+from rclpy.context import Context
+from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.signals import SignalHandlerOptions
 from ros_helpers import (
     NodeSession,
     assert_same_graph,
     bag_parameters,
     decode_cloud,
     map_offline,
+    next_domain,
 )
 
 import incremental_mapper.mapping.incremental_graph as graph_module
 from incremental_mapper.errors import ConfigError
 from incremental_mapper.mapping.commit import commit
 from incremental_mapper.ros import saving as saving_module
+from incremental_mapper.ros.node import MapperNode
 from incremental_mapper.selection import strategies
 
 
@@ -126,6 +132,33 @@ def test_wrong_parameters_are_refused(tmp_path, tree, words):
     assert '\n' not in str(caught.value)
     for word in words:
         assert word in str(caught.value)
+
+
+def test_a_node_that_has_ended_is_nowhere_any_more(start_node):
+    """rclpy ends a node when nothing holds it, and its log with that of a later namesake."""
+    session = start_node()
+    name = session.mapper.node.get_name()
+    session.wait(lambda: name in session.client.get_node_names(), 'the node')
+    session.stop()
+    session.wait(lambda: name not in session.client.get_node_names(), 'the end of the node')
+
+
+def test_a_node_whose_qos_is_refused_is_nowhere_any_more():
+    context = Context()
+    rclpy.init(
+        context=context, domain_id=next_domain(), signal_handler_options=SignalHandlerOptions.NO
+    )
+    try:
+        with pytest.raises(ConfigError, match=r'/imu\.subscription\.reliability is 5'):
+            MapperNode(
+                context=context,
+                cli_args=['--ros-args', '-p', 'qos_overrides./imu.subscription.reliability:=5'],
+            )
+        observer = Node('observer', context=context)
+        assert observer.get_node_names() == ['observer']
+        observer.destroy_node()
+    finally:
+        rclpy.try_shutdown(context=context)
 
 
 def test_parameters_have_descriptions_and_only_safe_ones_change(start_node):
