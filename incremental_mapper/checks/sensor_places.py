@@ -197,6 +197,25 @@ def told_twice(topic: str, child: str, parent: str, before: Vector, now: Vector)
     ]
 
 
+def frame_renamed(sensor: str, before: str, now: str) -> Finding:
+    """A sensor's messages have another frame_id than those by which it was placed.
+
+    Args:
+        sensor: Its name.
+        before: The frame_id that a transform places.
+        now: The one that none does.
+    """
+    return Finding(
+        'frame_renamed',
+        Severity.WARNING,
+        sensor,
+        f'its messages are of {shown_frame(now)} by now, which no transform places; it is taken to '
+        f'be where {shown_frame(before)} is, as before',
+        'see whether another device has taken its place; give the driver the frame_id of before, '
+        'or set T_base_sensor',
+    )
+
+
 def other_root(root: str, sensors: Sequence[str]) -> Finding:
     """No transform knows the car's frame, but all hang on one frame.
 

@@ -55,11 +55,16 @@ class Command:
 
 @dataclass(frozen=True, slots=True)
 class Renewal:
-    """Settings that proved right against those of the map, and why; a new map begins with them."""
+    """Settings that proved right against those of the map, and why; a new map begins with them.
+
+    ``optional`` ones are not worth the map where that cannot be mapped again: the next one takes
+    them.
+    """
 
     settings: Tree
     reason: str
     findings: tuple[Finding, ...] = ()
+    optional: bool = False
 
 
 Word: TypeAlias = Command | Renewal

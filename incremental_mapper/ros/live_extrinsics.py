@@ -11,6 +11,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from incremental_mapper.checks.finding import Finding
+from incremental_mapper.checks.sensor_places import frame_renamed
 from incremental_mapper.config import Config, Tree
 from incremental_mapper.datasets.extrinsics import place_sensors
 from incremental_mapper.datasets.sensor_settings import extrinsics_of
@@ -27,10 +28,14 @@ from incremental_mapper.datasets.static_transforms import (
 from incremental_mapper.geometry import pose_matrix
 from incremental_mapper.measurements import Drops, Measurement
 from incremental_mapper.ros.inbox import Item, Renewal
+from incremental_mapper.settings import merge
 
 PATIENCE = 1.0
 """Seconds from the first measurement for which the transforms are waited for; /tf_static is there
 within a tenth, /tf has each transform twice after 20 to 200 ms."""
+LONG_PATIENCE = 5.0
+"""The same where a LiDAR has to be left out otherwise: what tells of the robot may start with the
+drivers, or a little later."""
 
 UNPLACED = 'unplaced'
 """Why clouds of a LiDAR are left out of which nobody tells where it is beside the others."""
@@ -73,7 +78,8 @@ class LiveExtrinsics:
         self._still = StillTransforms()
         self._static = False
         self._messages = 0
-        self._frames: dict[str, str] = {}
+        self._frames: dict[str, str] = {}  # of the newest message of each sensor
+        self._placed_by: dict[str, str] = {}  # the frame_id that told where it is
         self._applied: Tree = {}
         self._told: set[str] = set()
         self._left_out: frozenset[str] = frozenset()
@@ -149,30 +155,57 @@ class LiveExtrinsics:
         over = time.monotonic() - self._since >= PATIENCE
         sources = [STATIC_TOPIC] * self._static
         sources += [MOVING_TOPIC] * (bool(self._tree.edges) and not self._static)
-        places = place_sensors(
-            self._tree, sources, self._settings, self._frames, self._seen_lidars()
-        )
+        frames, renamed = self._telling_frames()
+        places = place_sensors(self._tree, sources, self._settings, frames, self._seen_lidars())
         found = places.settings
         first = not self._open
-        if first and not (over or self._all_placed(found)):
+        lacking = bool(places.left_out) and time.monotonic() - self._since < LONG_PATIENCE
+        if first and (lacking or not (over or self._all_placed(found))):
             return
         self._open = True
         if over or self._alone:
             self._left_out = frozenset(places.left_out)
         if over:
-            self.findings = places.findings
+            self.findings = (*places.findings, *renamed)
             self._changed = False
         for note in places.notes:
             if note not in self._told and self._ripe(note):
                 self._told.add(note)
                 self._tell(note)
-        if found != self._applied:
-            self._applied = found
-            names = ', '.join(_names(found))
-            self._hand_on(Renewal(found, f'transforms tell where {names} are'))
+        self._apply(found, frames)
         for measurement in self._held:
             self._pass_on(measurement)
         self._held = []
+
+    def _telling_frames(self) -> tuple[dict[str, str], list[Finding]]:
+        """The frame_id by which to look for each sensor, and what is wrong with it.
+
+        A driver that was started anew may name its frame otherwise: the sensor is where it was.
+        """
+        frames, renamed = dict(self._frames), []
+        base = self._tree.base()
+        for sensor, before in self._placed_by.items():
+            now = frames[sensor]
+            known = base is not None and self._tree.between(base, now) is not None
+            if now != before and not known:
+                frames[sensor] = before
+                renamed.append(frame_renamed(sensor, before, now))
+        return frames, renamed
+
+    def _apply(self, found: Tree, frames: Mapping[str, str]) -> None:
+        """Hand on the places that are not those of before."""
+        places, before = _places(found), _places(self._applied)
+        moved = [name for name, place in places.items() if place != before.get(name)]
+        if not moved:
+            return
+        # Where the same frame has moved a little, or was wrong from the start, what is mapped is
+        # as good as it was; a sensor that was at no place, or is at another one, is mapped wrong.
+        optional = all(self._placed_by.get(name) == frames[name] for name in moved)
+        self._applied = merge(self._applied, found)
+        self._placed_by |= {name: frames[name] for name in places}
+        be = 'is' if len(moved) == 1 else 'are'
+        reason = f'transforms tell where {", ".join(moved)} {be}'
+        self._hand_on(Renewal(found, reason, optional=optional))
 
     def _pass_on(self, measurement: Measurement) -> None:
         """Hand a measurement on, unless it is of a LiDAR that nobody places beside the others."""
@@ -244,10 +277,15 @@ def all_given(settings: Mapping[str, Any], config: Config) -> bool:
 
 def _names(settings: Mapping[str, Any]) -> list[str]:
     """Sensors whose T_base_sensor a tree of settings names."""
+    return [*_places(settings)]
+
+
+def _places(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """T_base_sensor by sensor, where a tree of settings names it."""
     lidars = settings.get('lidars', {})
     sections = {**(lidars if isinstance(lidars, Mapping) else {}), **settings}
-    return [
-        name
+    return {
+        name: section['T_base_sensor']
         for name, section in sections.items()
         if isinstance(section, Mapping) and 'T_base_sensor' in section
-    ]
+    }

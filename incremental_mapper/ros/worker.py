@@ -250,15 +250,21 @@ class Worker:
             return
         self._known = ranked([*kept, *renewal.findings])
         again = self._beginning.whole()
-        if again is None and self._retimed(renewal):
+        if again is None and (self._retimed(renewal) or self._goes_on(renewal)):
             return
-        if again is None and self._session is not None:
+        # What nothing proves wrong only lacks a sensor, or has it at another place.
+        saved = again is None and not renewal.findings and bool(self.save_settings().on_shutdown)
+        if saved:
+            with self._guarded():
+                self._drain()
+                self._save_quietly()
+        elif again is None and self._session is not None:
             with self._guarded():
                 self._lost = self._lost + self._session.taken(MENDED)
         self.jumps.restart()
         if self._session is None:
             self._emit(Restarted('', self.config, self._known))
-        else:
+        elif not saved:
             self._session.discard()
         # Before its first measurement nobody need know that there was another map.
         self._begin('' if again == () else renewal.reason)
@@ -267,6 +273,18 @@ class Worker:
                 self.inbox.count(measurement, SHUTDOWN)
             else:
                 self._take_in(measurement)
+
+    def _goes_on(self, renewal: Renewal) -> bool:
+        """Keep the map where other settings are not worth it; the next one has them."""
+        if self._session is None or not renewal.optional:
+            return False
+        self._emit(
+            Trouble(
+                f'{renewal.reason}; the map goes on as it began, since it is too long to be mapped '
+                'again: call reset for a new one that is made with that'
+            )
+        )
+        return True
 
     def _retimed(self, renewal: Renewal) -> bool:
         """Go on with the map where other settings are other stamps of some sensors, no more.

@@ -57,6 +57,11 @@ class Run:
                 sample = make_imu(len(self.handed_on) + 1, sensor, np.zeros(3), np.ones(3))
                 self.extrinsics.take(sample, sensor)
 
+    def send_from(self, lidar, frame):
+        """A cloud of a LiDAR with another frame_id."""
+        scan = make_scan(len(self.handed_on) + 1, lidar, np.ones((5, 3)))
+        self.extrinsics.take(scan, frame)
+
     @property
     def sensors(self):
         return [item.sensor for item in self.handed_on if not isinstance(item, Renewal)]
@@ -69,7 +74,13 @@ class Run:
 @pytest.fixture
 def patience(monkeypatch):
     """Set how long measurements wait."""
-    return lambda seconds: monkeypatch.setattr(live_extrinsics, 'PATIENCE', seconds)
+
+    def wait(seconds, for_lidars=None):
+        monkeypatch.setattr(live_extrinsics, 'PATIENCE', seconds)
+        for_lidars = seconds if for_lidars is None else for_lidars
+        monkeypatch.setattr(live_extrinsics, 'LONG_PATIENCE', for_lidars)
+
+    return wait
 
 
 def test_measurements_wait_for_transforms_and_come_after_them_in_order():
@@ -104,6 +115,19 @@ def test_without_transforms_the_wait_is_bounded_and_it_is_said(patience):
     assert run.extrinsics.drops == {('right', 'unplaced'): 1}
     rules = {finding.rule for finding in run.extrinsics.findings}
     assert rules == {'lidar_left_out', 'identity_extrinsics'}
+
+
+def test_a_lidar_that_would_be_left_out_is_waited_for_longer(patience):
+    run, placed = Run(GIVEN_REST), Run({**GIVEN_REST, 'lidars': {'left': GIVEN, 'right': GIVEN}})
+    for one in (run, placed):
+        one.send('left', 'imu', 'right')
+    patience(0.0, for_lidars=60.0)
+    for one in (run, placed):
+        one.extrinsics.look()
+    assert run.handed_on == [] and placed.sensors == ['left', 'imu', 'right']
+    run.extrinsics.static(BOTH)
+    run.send('gnss')
+    assert run.sensors == ['left', 'imu', 'right', 'gnss'] and len(run.renewals) == 1
 
 
 def test_transforms_that_come_late_begin_anew_and_the_finding_goes(patience):
@@ -181,6 +205,44 @@ def test_what_only_the_parameters_tell_is_to_be_published_after_a_while(patience
     assert list(run.extrinsics.untold()) == ['velo_left', 'imu']
     run.extrinsics.static(transforms(('base_link', 'imu', 0.0, 0.0, 0.0)))
     assert list(run.extrinsics.untold()) == ['velo_left']
+
+
+def test_a_lidar_that_comes_back_under_a_name_that_no_transform_knows_keeps_its_place(patience):
+    patience(0.0)
+    run = Run(GIVEN_REST)
+    run.send('left', 'right', 'imu', 'gnss')
+    run.extrinsics.static(BOTH)
+    run.send_from('right', 'velo_other')
+    assert len(run.renewals) == 1 and run.sensors[-1] == 'right'
+    assert run.extrinsics.drops == {('right', 'unplaced'): 1}  # before it was placed
+    (told,) = run.extrinsics.findings
+    assert told.rule == 'frame_renamed' and told.sensor == 'right'
+    assert 'velo_other' in told.text and 'velo_right' in told.text
+    run.send_from('right', 'velo_right')
+    assert run.extrinsics.findings == () and len(run.renewals) == 1
+
+
+def test_a_lidar_that_comes_back_under_a_name_of_another_place_is_placed_there(patience):
+    patience(0.0)
+    run = Run(GIVEN_REST)
+    run.extrinsics.static(BOTH)
+    run.extrinsics.static(transforms(('base_link', 'velo_rear', -1.0, 0.0, 2.0)))
+    run.send('left', 'right', 'imu', 'gnss')
+    placed = len(run.renewals)
+    run.send_from('right', 'velo_rear')
+    (moved,) = run.renewals[placed:]
+    assert moved.settings['lidars']['right']['T_base_sensor'][:3] == [-1.0, 0.0, 2.0]
+    assert not moved.optional and run.extrinsics.findings == ()
+
+
+def test_a_sensor_that_is_placed_late_is_worth_a_new_map_and_one_that_is_moved_is_not(patience):
+    patience(0.0)
+    run = Run(GIVEN_REST)
+    run.send('left', 'right', 'imu', 'gnss')
+    run.extrinsics.static(BOTH)
+    run.extrinsics.static(transforms(('base_link', 'velo_left', 1.0, 0.5, 3.0)))
+    assert [renewal.optional for renewal in run.renewals] == [False, True]
+    assert 'left' in run.renewals[1].reason and 'right' not in run.renewals[1].reason
 
 
 def test_what_nobody_tells_is_not_published(patience):

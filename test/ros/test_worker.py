@@ -415,6 +415,42 @@ def test_a_map_that_is_too_long_to_be_made_again_goes_on_where_stamps_are_put_ri
     assert found_stamps == moved
 
 
+MOVED = {'gnss': {'T_base_sensor': [0.0, 0.0, 2.0, 0.0, 0.0, 0.0, 1.0]}}
+
+
+def test_a_map_that_is_too_long_to_be_made_again_goes_on_where_a_place_is_told_anew(
+    start, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(beginning, 'MOST_SECONDS', 0.2)
+    run = start()
+    half = len(run.measurements) // 2
+    run.feed(run.measurements[:half])
+    run.worker.inbox.put(Renewal(MOVED, 'told anew', optional=True))
+    run.feed(run.measurements[half:])
+    assert run.order(Order.FLUSH)[0] and run.order(Order.SAVE)[0]
+    assert not run.of(Restarted)
+    assert 'told anew' in run.of(Trouble)[0].message and 'reset' in run.of(Trouble)[0].message
+    stats = json.loads((tmp_path / 'saved' / 'stats.json').read_text())
+    assert stats['received'] == dict(Counter(item.sensor for item in run.measurements))
+    assert stats['settings']['gnss']['T_base_sensor'][2] != 2.0
+    assert run.order(Order.RESET)[0] and run.worker.config.gnss.T_base_sensor[2] == 2.0
+
+
+def test_a_map_that_ends_for_a_sensor_that_was_at_no_place_is_saved(start, tmp_path, monkeypatch):
+    monkeypatch.setattr(beginning, 'MOST_SECONDS', 0.2)
+    run = start({'save': {'on_shutdown': str(tmp_path / 'ended')}})
+    half = len(run.measurements) // 2
+    run.feed(run.measurements[:half])
+    run.worker.inbox.put(Renewal(MOVED, 'placed late'))
+    run.feed(run.measurements[half:])
+    assert run.order(Order.FLUSH)[0]
+    assert len(run.of(Restarted)) == 1
+    run.stop()
+    saved = [json.loads((path / 'stats.json').read_text()) for path in tmp_path.glob('ended*')]
+    assert sum(sum(stats['received'].values()) for stats in saved) == len(run.measurements)
+    assert not any('before_mend' in of for stats in saved for of in stats['dropped'].values())
+
+
 def test_a_map_is_not_mended_for_ever(start, monkeypatch):
     def measurement(watch, item):
         gravity = watch._config.preintegration.gravity
