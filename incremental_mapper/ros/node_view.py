@@ -31,6 +31,7 @@ class NodeView:
         self._scene = scene
         self._window = 0
         self._height = 0.0
+        self._shows = False  # anything of the map that there is
         self.windows = 0
 
     def odometry(self, heard: Heard) -> None:
@@ -50,9 +51,12 @@ class NodeView:
         self._scene.points(table[::step, :3], self._height)
 
     def path(self, heard: Heard) -> None:
-        """Show the way."""
-        self._at(heard)
+        """Show the way; one without poses says that the map is no more, and another one begins."""
         places = [pose.pose.position for pose in heard.message.poses]
+        if not places:
+            self._begin_again()
+            return
+        self._at(heard)
         self._scene.path(np.array([[p.x, p.y, p.z] for p in places]).reshape(-1, 3))
 
     def graph(self, heard: Heard) -> None:
@@ -62,6 +66,8 @@ class NodeView:
             for marker in heard.message.markers
             if marker.ns
         }
+        if not markers:
+            return  # it takes away those of a map that is no more, and has no stamp
         self._at_stamp(heard.message.markers[0].header.stamp)
         nothing = np.zeros((0, 3))
         self._scene.graph(
@@ -74,7 +80,10 @@ class NodeView:
     def stats(self, heard: Heard) -> None:
         """Add a window's numbers."""
         values = read_status(heard.message.status[0])
-        self._window = int(values[f'{WINDOW_PREFIX}window'])
+        window = int(values[f'{WINDOW_PREFIX}window'])
+        if window < self._window:  # nobody had heard that the map before is no more
+            self._begin_again()
+        self._window = window
         self.windows += 1
         self._at(heard)
         names = {name: values.get(f'{WINDOW_PREFIX}{name}') for name in NUMBERS}
@@ -82,10 +91,17 @@ class NodeView:
         if values.get(SCORE) is not None:
             self._scene.winner_score(float(values[SCORE]))
 
+    def _begin_again(self) -> None:
+        self._window = 0
+        if self._shows:
+            self._scene.begin_again()
+        self._shows = False
+
     def _at(self, heard: Heard) -> None:
         self._at_stamp(heard.message.header.stamp)
 
     def _at_stamp(self, stamp: Any) -> None:
+        self._shows = True
         self._scene.at(stamp.sec * NANOSECONDS + stamp.nanosec, self._window)
 
 

@@ -79,18 +79,41 @@ class RerunScene:
             InputError: Rerun is not installed, or its viewer does not start.
             OutputError: The file cannot be written.
         """
-        self._rr = rr = load_rerun()
+        self._rr = load_rerun()
+        self._save, self._spawn, self._candidates = save, spawn, candidates
+        self._maps = 0
+        self._begin(save)
+
+    def begin_again(self) -> None:
+        """Begin another recording: the map so far is no more, and nothing of it is shown any longer.
+
+        A range of time, by which points add up, does not end where something is cleared, and the
+        stamps of the next map may lie before those of this one. The viewer has both among its
+        recordings; a file's name gets a number.
+
+        Raises:
+            InputError: The viewer does not start.
+            OutputError: The file cannot be written.
+        """
+        self.close()
+        save = self._save
+        self._begin(None if save is None else save.with_stem(f'{save.stem}_{self._maps + 1}'))
+
+    def _begin(self, save: Path | None) -> None:
+        rr = self._rr
+        self._maps += 1
         self._turns = 0
         self._filled: set[str] = set()  # parts of the graph that show something
         self._stream = rr.RecordingStream(APPLICATION)
-        blueprint = _blueprint(candidates)
+        blueprint = _blueprint(self._candidates)
         if save is not None:
             try:
                 self._stream.save(save, default_blueprint=blueprint)
             except (OSError, RuntimeError) as error:
                 raise OutputError(f'{save}: cannot be written ({error})') from error
-        elif spawn:
+        elif self._spawn:
             try:
+                # Where one is open already, Rerun streams into that.
                 self._stream.spawn(default_blueprint=blueprint)
             except RuntimeError as error:
                 raise InputError(f'the viewer of Rerun does not start ({error})') from error
