@@ -64,6 +64,12 @@ class LidarScan:
     remarks: tuple[Remark, ...] = ()
     intensities: NDArray[np.float32] | None = None
 
+    @property
+    def nbytes(self) -> int:
+        """Memory that it takes."""
+        columns = (self.points, self.point_times, self.intensities)
+        return sum(column.nbytes for column in columns if column is not None)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GnssFix:

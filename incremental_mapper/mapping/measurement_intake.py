@@ -41,8 +41,8 @@ class MeasurementIntake:
         self._imu = ImuIntake(config.imu, config.preintegration.gravity)
         self._scans = ScanIntake(config.lidars)
         awaited = [name for name in sensors if name != IMU or config.imu.enabled]
-        # Closed, and waiting for their scans or to be merged with the next.
-        self._held: list[tuple[Window, Preparation]] = []
+        # Closed, and waiting for their scans, of so many bytes, or to be merged with the next.
+        self._held: list[tuple[Window, Preparation, int]] = []
         self.front_end = FrontEnd(config, IMU in awaited)
         self._buffer = WindowBuffer(
             config.window,
@@ -103,17 +103,19 @@ class MeasurementIntake:
         count = shedding.windows
         if len(self._held) < count:
             return False
-        oldest = [preparation for _, preparation in self._held[:count]]
+        oldest = [preparation for _, preparation, _ in self._held[:count]]
         if any(self.front_end.awaits_imu(preparation) for preparation in oldest):
             return False  # what they get must not depend on how far others have come
-        done = all(preparation.done for preparation in oldest)
-        return done or len(self._held) > count + shedding.read_ahead
+        if all(preparation.done for preparation in oldest):
+            return True
+        behind = [nbytes for _, _, nbytes in self._held[count:]]
+        return len(behind) > shedding.read_ahead or sum(behind) > shedding.most_bytes
 
     def next(self, count: int) -> ClosedWindow:
         """Let go of the oldest ``count`` windows that wait, as one; at least one waits."""
         taken, self._held = self._held[:count], self._held[count:]
         return ClosedWindow(
-            joined([window for window, _ in taken]), tuple(begun for _, begun in taken)
+            joined([window for window, _, _ in taken]), tuple(begun for _, begun, _ in taken)
         )
 
     def close(self) -> None:
@@ -122,4 +124,6 @@ class MeasurementIntake:
 
     def _hold(self, windows: Sequence[Window]) -> None:
         """Begin to prepare the scans of closed windows."""
-        self._held += [(window, self.front_end.start(window.core)) for window in windows]
+        self._held += [
+            (window, self.front_end.start(window.core), window.nbytes) for window in windows
+        ]

@@ -25,6 +25,7 @@ from incremental_mapper.measurements import (
     CoreInput,
     Drops,
     ImuSample,
+    LidarScan,
     Measurement,
 )
 
@@ -61,6 +62,11 @@ class Window:
     end: int
     core: tuple[CoreInput, ...]
     imu: tuple[ImuSample, ...]
+
+    @property
+    def nbytes(self) -> int:
+        """Memory that its scans take."""
+        return sum(item.nbytes for item in self.core if isinstance(item, LidarScan))
 
 
 def joined(windows: Sequence[Window]) -> Window:

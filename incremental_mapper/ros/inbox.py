@@ -152,10 +152,10 @@ class Inbox:
             return self._counts[False], self._counts[True]
 
     def nbytes(self) -> int:
-        """Memory that the points of the waiting scans take."""
+        """Memory that the waiting scans take."""
         with self._filled:
             waiting = (entry.item for entry in self._items)
-            return sum(item.points.nbytes for item in waiting if isinstance(item, LidarScan))
+            return sum(item.nbytes for item in waiting if isinstance(item, LidarScan))
 
     def delay(self) -> float:
         """Seconds between the arrivals of the oldest and the newest measurement that wait.

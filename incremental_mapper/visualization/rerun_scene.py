@@ -85,7 +85,7 @@ class RerunScene:
         self._begin(save)
 
     def begin_again(self) -> None:
-        """Begin another recording: the map so far is no more, and nothing of it is shown any longer.
+        """Begin another recording, which shows nothing of the map so far: that is no more.
 
         A range of time, by which points add up, does not end where something is cleared, and the
         stamps of the next map may lie before those of this one. The viewer has both among its
