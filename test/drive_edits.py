@@ -71,15 +71,15 @@ def cut_drive(folder, seconds, every=1):
             np.fromfile(path, dtype='<f4').reshape(-1, 4)[::every].tofile(path)
 
 
-def driven_later(folder, out):
-    """The same drive again, a minute later."""
+def driven_later(folder, out, by=LATER):
+    """The same drive again, a minute later, or so many nanoseconds."""
     shutil.copytree(folder, out)
     for name in ('xsens_imu', 'vrs_gps', 'VLP_left_stamp', 'VLP_right_stamp'):
         path = table(out, name)
         rows = [line.split(',') for line in path.read_text().splitlines()]
-        path.write_text(''.join(f'{",".join([str(int(s) + LATER), *r])}\n' for s, *r in rows))
+        path.write_text(''.join(f'{",".join([str(int(s) + by), *r])}\n' for s, *r in rows))
     for side in ('left', 'right'):
         for path in scans(out, side):
-            path.rename(path.with_name(f'{int(path.stem) + LATER}.bin'))
+            path.rename(path.with_name(f'{int(path.stem) + by}.bin'))
     (out / 'global_pose.csv').unlink()
     return out

@@ -6,6 +6,7 @@ What a run needs is imported when there is one: the help should not wait for it.
 import argparse
 import sys
 import time
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -119,7 +120,7 @@ def _map(args: argparse.Namespace, tree: 'Tree', where: str, started: float) -> 
     from incremental_mapper.evaluation.report.report_process import ReportProcess
     from incremental_mapper.results.offline_run import Stop, map_into
     from incremental_mapper.results.opened_drive import open_drive
-    from incremental_mapper.results.run_folder import prepare_folder
+    from incremental_mapper.results.run_folder import prepared_folder
     from incremental_mapper.results.summary import brief, summary
 
     if args.view or args.rrd is not None:
@@ -130,16 +131,15 @@ def _map(args: argparse.Namespace, tree: 'Tree', where: str, started: float) -> 
             check_rrd(args.rrd)
     drive = open_drive(args.input, tree, where, args.truth)
     folder = _out_dir(args, drive.config.session.folder)
-    prepare_folder(folder, args.force)
-    for note in drive.all_notes():
-        print(f'note: {note}', file=sys.stderr)
     stop, watch = Stop(), _watch(args, folder)
-    set_aside()
-    with (
-        stop.listening(),
-        Progress(drive.source.info.count) as progress,
-        ReportProcess() as report,
-    ):
+    with ExitStack() as stack:
+        stack.enter_context(prepared_folder(folder, args.force))
+        for note in drive.all_notes():
+            print(f'note: {note}', file=sys.stderr)
+        set_aside()
+        stack.enter_context(stop.listening())
+        progress = stack.enter_context(Progress(drive.source.info.count))
+        report = stack.enter_context(ReportProcess())
 
         def stage(name: str) -> None:
             progress.stage(name)

@@ -15,7 +15,7 @@ from incremental_mapper.cli.findings_text import print_findings
 from incremental_mapper.cli.workers_option import add_workers, check_workers, workers_of
 from incremental_mapper.errors import InputError, MapperError, OutputError
 from incremental_mapper.results.draw import draw_folder
-from incremental_mapper.results.run_folder import prepare_folder, write_result
+from incremental_mapper.results.run_folder import prepared_folder, write_result
 from incremental_mapper.results.sessions.merging import (
     Pair,
     merge,
@@ -59,14 +59,14 @@ def run(args: argparse.Namespace) -> int:
     if args.out.resolve() in [folder.resolve() for folder in args.runs]:
         raise OutputError(f'{args.out}: is one of the runs; name another folder')
     fleet = read_fleet(args.runs)
-    prepare_folder(args.out, args.force)
     read = time.perf_counter()
-    found = _search(pairs_of(fleet), args)
-    searched = time.perf_counter()
-    done = merge(fleet, found)
-    tree = done.statistics.to_tree()
-    write_result(args.out, done.result, done.map, tree)
-    remark = draw_folder(args.out)
+    with prepared_folder(args.out, args.force):
+        found = _search(pairs_of(fleet), args)
+        searched = time.perf_counter()
+        done = merge(fleet, found)
+        tree = done.statistics.to_tree()
+        write_result(args.out, done.result, done.map, tree)
+        remark = draw_folder(args.out)
     for note in (*done.statistics.input.notes, *([remark] if remark else [])):
         print(f'note: {note}', file=sys.stderr)
     print(summary(tree))

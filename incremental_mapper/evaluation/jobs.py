@@ -12,7 +12,7 @@ from incremental_mapper.evaluation import cache
 from incremental_mapper.evaluation.workers import stop_of_this_process
 from incremental_mapper.results.offline_run import map_into
 from incremental_mapper.results.opened_drive import open_drive
-from incremental_mapper.results.run_folder import prepare_folder
+from incremental_mapper.results.run_folder import prepared_folder
 from incremental_mapper.selection.strategies import labelled
 from incremental_mapper.settings import merge
 from incremental_mapper.trajectory import Trajectory, write_tum
@@ -135,16 +135,16 @@ def _run(job: Job) -> Outcome:
             f'{job.program.get(name)}; install the same versions'
         )
     try:
-        prepare_folder(job.folder, force=True)
-        cache.clear(job.folder)
-        (job.folder / FAILURE_FILE).unlink(missing_ok=True)
-        drive = open_drive(job.input, job.tree, job.where, job.truth)
-        run, _ = map_into(job.folder, drive, stop=stop_of_this_process())
-        if run.statistics.interrupted:
-            return Outcome(job, Status.INTERRUPTED)
-        _write_truth(job.folder.parent / cache.TRUTH_FILE, job.strategy, drive.truth)
-        made_of = {'input': str(job.input), 'settings': job.tree, 'program': job.program}
-        cache.mark_finished(job.folder, job.key, drive.truth is not None, made_of)
+        with prepared_folder(job.folder, force=True):
+            cache.clear(job.folder)
+            (job.folder / FAILURE_FILE).unlink(missing_ok=True)
+            drive = open_drive(job.input, job.tree, job.where, job.truth)
+            run, _ = map_into(job.folder, drive, stop=stop_of_this_process())
+            if run.statistics.interrupted:
+                return Outcome(job, Status.INTERRUPTED)
+            _write_truth(job.folder.parent / cache.TRUTH_FILE, job.strategy, drive.truth)
+            made_of = {'input': str(job.input), 'settings': job.tree, 'program': job.program}
+            cache.mark_finished(job.folder, job.key, drive.truth is not None, made_of)
     except OSError as error:
         raise OutputError(f'{job.folder}: cannot be written ({error.strerror})') from error
     return Outcome(job, Status.DONE)

@@ -9,6 +9,8 @@ TRAJECTORY, MAP, WINDOWS = 'trajectory.tum', 'map.ply', 'windows.csv'
 GRAPH, GRAPH_G2O, STATISTICS = 'graph.json', 'graph.g2o', 'stats.json'
 DATA = (TRAJECTORY, MAP, SCANS, GRAPH_G2O, GRAPH, WINDOWS, STATISTICS, SESSION)
 FILES = (*DATA, MANIFEST)
+JOURNAL = '.journal'
+"""How the name of a journal ends."""
 EXTRA_FILES = (
     FILE_NAME,
     'trajectory.png',

@@ -17,7 +17,14 @@ from incremental_mapper.errors import ConfigError, InputError
 from incremental_mapper.map.ply import MapFile
 from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.results.candidate_table import FILE_NAME, read_window
-from incremental_mapper.results.file_names import GRAPH, MAP, STATISTICS, TRAJECTORY, WINDOWS
+from incremental_mapper.results.file_names import (
+    GRAPH,
+    JOURNAL,
+    MAP,
+    STATISTICS,
+    TRAJECTORY,
+    WINDOWS,
+)
 from incremental_mapper.results.manifest import FILE as MANIFEST
 from incremental_mapper.results.manifest import FORMAT, Manifest
 from incremental_mapper.trajectory import Trajectory, read_tum
@@ -184,6 +191,11 @@ class FinishedRun:
         path = self.folder / name
         if not path.is_file():
             what = 'no such folder' if not self.folder.is_dir() else f'{name} is missing'
+            if any(self.folder.glob(f'*{JOURNAL}')):
+                raise InputError(
+                    f'{self.folder}: holds journals of maps that were cut off and no map; '
+                    f'"incremental_mapper recover {self.folder}" makes maps of them'
+                )
             raise InputError(f'{self.folder}: is no output of "incremental_mapper map" ({what})')
         if name not in self._looked_at:
             self._looked_at.add(name)

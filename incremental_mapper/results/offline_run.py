@@ -30,7 +30,7 @@ from incremental_mapper.results.opened_drive import Drive, open_drive
 from incremental_mapper.results.run_folder import (
     draw_result,
     is_whole,
-    prepare_folder,
+    prepared_folder,
     write_result,
 )
 from incremental_mapper.results.run_statistics import InputFacts, RunStatistics
@@ -194,8 +194,8 @@ def map_drive(
     drive = open_drive(Path(path), tree, where, None if truth is None else Path(truth))
     if out is None:
         return mending(drive, lambda drive, may_mend: _map_once(drive, may_mend=may_mend))
-    prepare_folder(Path(out), force)
-    return map_into(Path(out), drive)[0]
+    with prepared_folder(Path(out), force):
+        return map_into(Path(out), drive)[0]
 
 
 def map_source(

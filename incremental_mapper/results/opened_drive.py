@@ -55,7 +55,7 @@ def open_drive(path: Path, tree: Tree, where: str, truth: Path | None = None) ->
     """
     # Settings that are wrong by themselves are told before any reading.
     given = make_config(tree, where)
-    earlier = earlier_map(given.session.folder, given.map)
+    earlier = earlier_map(given)
     if earlier is not None:
         tree = merge(tree, earlier.settings)
     source = open_source(path, tree)

@@ -11,10 +11,12 @@ whole, are always there; pictures and
 import contextlib
 import csv
 import errno
+import fcntl
 import json
 import logging
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -55,23 +57,51 @@ from incremental_mapper.visualization.run_pictures import draw_run
 LOGGER = logging.getLogger('incremental_mapper')
 
 
-def prepare_folder(folder: Path, force: bool) -> None:
-    """Make an output folder.
+@contextmanager
+def prepared_folder(folder: Path, force: bool) -> Iterator[None]:
+    """Make an output folder, into which nobody else may write meanwhile.
+
+    Of two runs that wrote into one folder, each file was that of the last one to write it, and the
+    checksums said that all was whole.
 
     Args:
         folder: It may exist, and be empty.
         force: It may hold something. What an earlier run wrote is removed, so that no file of
             another drive lies beside those of this one; all else stays.
 
+    Yields:
+        Nothing; the folder is this run's until the block ends, or the process.
+
     Raises:
-        OutputError: It holds something and ``force`` is not given, or it cannot be made.
+        OutputError: It holds something and ``force`` is not given, it cannot be made, or another
+            run writes into it.
     """
+    if folder.exists() and not folder.is_dir():
+        raise OutputError(f'{folder}: is a file, expected a folder for the output')
     try:
-        if folder.exists() and not folder.is_dir():
-            raise OutputError(f'{folder}: is a file, expected a folder for the output')
-        if folder.is_dir() and any(folder.iterdir()) and not force:
-            raise OutputError(f'{folder}: is not empty; name another folder or add --force')
         folder.mkdir(parents=True, exist_ok=True)
+        claim = os.open(folder, os.O_RDONLY)
+    except OSError as error:
+        raise OutputError(f'{folder}: cannot be made ({error.strerror})') from error
+    try:
+        try:
+            fcntl.flock(claim, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise OutputError(
+                f'{folder}: another run is writing into it; name another folder'
+            ) from error
+        except OSError:
+            pass  # a file system without locks
+        _empty(folder, force)
+        yield
+    finally:
+        os.close(claim)
+
+
+def _empty(folder: Path, force: bool) -> None:
+    try:
+        if not force and any(folder.iterdir()):
+            raise OutputError(f'{folder}: is not empty; name another folder or add --force')
         # Names that others use as well go only where a run has been.
         if (folder / STATISTICS).is_file() and (folder / GRAPH).is_file():
             exported = [form.file_name for form in formats().values()]

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from incremental_mapper.config import Config
-from incremental_mapper.results.journal.journal_writer import SUFFIX
+from incremental_mapper.results.file_names import JOURNAL
 from incremental_mapper.ros.map_session import journal_folder
 from incremental_mapper.ros.updates import Trouble, Update
 from incremental_mapper.ros.urgency import make_way
@@ -32,7 +32,7 @@ class LeftOver:
         self.journals: Sequence[Path] = ()
         if folder is not None:
             with contextlib.suppress(OSError):
-                self.journals = sorted(folder.glob(f'*{SUFFIX}'))
+                self.journals = sorted(folder.glob(f'*{JOURNAL}'))
 
     def start(self) -> None:
         """Make their maps, one after the other, each in a process that goes on by itself."""

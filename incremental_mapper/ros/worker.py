@@ -57,7 +57,7 @@ class Worker:
 
     def __init__(self, config: Config, emit: Callable[[Update], None]) -> None:
         # Once: a map before may be large, and every map of this node goes on from it.
-        self._earlier = earlier_map(config.session.folder, config.map)
+        self._earlier = earlier_map(config)
         if self._earlier is not None:
             tree = merge(to_tree(config), self._earlier.settings)
             config = make_config(tree, str(config.session.folder))

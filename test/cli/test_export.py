@@ -8,7 +8,7 @@ import pytest
 
 from incremental_mapper.cli.main import main
 from incremental_mapper.results.finished_run import FinishedRun
-from incremental_mapper.results.run_folder import prepare_folder
+from incremental_mapper.results.run_folder import prepared_folder
 
 FORMATS = ('pcd', 'csv', 'kitti', 'kml', 'geojson')
 
@@ -44,7 +44,8 @@ def test_force_removes_them_too(run, tmp_path):
     for path in run.iterdir():
         (tmp_path / path.name).write_bytes(path.read_bytes())
     (tmp_path / 'map.mine').write_text('')
-    prepare_folder(tmp_path, force=True)
+    with prepared_folder(tmp_path, force=True):
+        pass
     assert [path.name for path in tmp_path.iterdir()] == ['map.mine']
 
 

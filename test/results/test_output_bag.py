@@ -19,7 +19,7 @@ from incremental_mapper.results.messages.output_bag import FOLDER, output_bag
 from incremental_mapper.results.messages.result_messages import read_status
 from incremental_mapper.results.offline_run import map_into
 from incremental_mapper.results.opened_drive import open_drive
-from incremental_mapper.results.run_folder import prepare_folder
+from incremental_mapper.results.run_folder import prepared_folder
 from incremental_mapper.trajectory import read_tum
 
 NODE = '/incremental_mapper'
@@ -144,11 +144,13 @@ def test_late_joiners_get_path_map_and_graph_of_a_played_bag(run):
 
 def test_bag_of_before_goes_with_force_and_one_of_others_stays(run, tmp_path):
     folder = shutil.copytree(run, tmp_path / 'run')
-    prepare_folder(folder, force=True)
+    with prepared_folder(folder, force=True):
+        pass
     assert not (folder / FOLDER).exists()
     (folder / FOLDER).mkdir()
     (folder / FOLDER / 'metadata.yaml').write_text('rosbag2_bagfile_information: {}')
-    prepare_folder(folder, force=True)
+    with prepared_folder(folder, force=True):
+        pass
     assert (folder / FOLDER).is_dir()
     with pytest.raises(OutputError, match='no bag of this program'), output_bag(folder, None):
         pass

@@ -9,7 +9,7 @@ from incremental_mapper.map.ply import MapCloud, write_ply
 from incremental_mapper.mapping.result import MapResult
 from incremental_mapper.results.file_names import EXTRA_FILES, FILES
 from incremental_mapper.results.finished_run import FinishedRun
-from incremental_mapper.results.run_folder import prepare_folder, write_result
+from incremental_mapper.results.run_folder import prepared_folder, write_result
 from incremental_mapper.trajectory import Trajectory
 
 RUN = (*FILES, *EXTRA_FILES, 'failed_window_12.npz')
@@ -18,6 +18,10 @@ FOREIGN = ('notes.txt', 'failed_window_mine.txt', 'bag.mcap')
 
 def fill(folder, *names):
     folder.mkdir()
+    return fill_in(folder, *names)
+
+
+def fill_in(folder, *names):
     for name in names:
         (folder / name).write_text('old')
     return folder
@@ -29,21 +33,43 @@ def names(folder):
 
 def test_force_removes_what_an_earlier_run_wrote_and_nothing_else(tmp_path):
     folder = fill(tmp_path / 'out', *RUN, *FOREIGN)
-    prepare_folder(folder, force=True)
+    with prepared_folder(folder, force=True):
+        pass
     assert names(folder) == set(FOREIGN)
 
 
 def test_files_of_like_names_stay_where_no_run_has_been(tmp_path):
     folder = fill(tmp_path / 'out', 'map.ply', 'trajectory.tum', 'map.png')
-    prepare_folder(folder, force=True)
+    with prepared_folder(folder, force=True):
+        pass
     assert names(folder) == {'map.ply', 'trajectory.tum', 'map.png'}
 
 
 def test_without_force_nothing_is_touched(tmp_path):
     folder = fill(tmp_path / 'out', *RUN)
-    with pytest.raises(OutputError, match='--force'):
-        prepare_folder(folder, force=False)
+    with (
+        pytest.raises(OutputError, match='--force'),
+        prepared_folder(folder, force=False),
+    ):
+        pass
     assert names(folder) == set(RUN)
+
+
+@pytest.mark.parametrize('force', [False, True])
+def test_no_second_run_writes_into_a_folder_meanwhile(force, tmp_path):
+    folder = tmp_path / 'out'
+    with prepared_folder(folder, force):
+        with (
+            pytest.raises(OutputError, match='another run is writing into it'),
+            prepared_folder(folder, force),
+        ):
+            pass
+        fill_in(folder, *RUN)
+        with pytest.raises(OutputError, match='another'), prepared_folder(folder, force=True):
+            pass
+        assert names(folder) == set(RUN)
+    with prepared_folder(folder, force=True):
+        assert names(folder) == set()
 
 
 @pytest.mark.parametrize('columns', [3, 4])

@@ -57,6 +57,10 @@ def copy(two, tmp_path):
     return shutil.copytree(two[0], tmp_path / 'run')
 
 
+def going_on(folder):
+    return {'session': {'continue': str(folder)}}
+
+
 def test_a_saved_run_is_read_back_as_it_was(two):
     first, _ = two
     run = read_saved_run(first, MemoryStore())
@@ -159,15 +163,21 @@ def test_a_folder_of_an_older_version_is_refused(copy):
 def test_no_session_goes_on_from_a_map_that_is_nowhere(copy):
     stats = json.loads((copy / 'stats.json').read_text())
     forge(copy, 'stats.json', json.dumps({**stats, 'georeferenced': False}).encode())
-    settings = make_config({}).map
+    settings = make_config(going_on(copy))
     with pytest.raises(InputError, match='not east-north-up'):
-        earlier_map(copy, settings)
+        earlier_map(settings)
+
+
+def test_a_folder_of_journals_is_told_from_a_run(tmp_path):
+    (tmp_path / 'drive_20260101_000000.journal').touch()
+    with pytest.raises(InputError, match=r'recover .* makes maps of them'):
+        read_saved_run(tmp_path, MemoryStore())
 
 
 def test_a_session_that_knows_no_place_is_alone_and_not_to_be_trusted(two):
     first, both = two
-    settings = make_config({})
-    earlier = earlier_map(first, settings.map)
+    settings = make_config(going_on(first))
+    earlier = earlier_map(settings)
     result = read_saved_run(both, MemoryStore()).result
     lost = replace(result, statistics=replace(result.statistics, georeferenced=False), sessions=())
     facts = InputFacts('here', 'test', {})
@@ -246,18 +256,45 @@ def test_a_tie_that_the_fixes_refute_is_left_out(two):
     assert poses[0].equals(poses[1], 1e-4)
 
 
-def test_merged_runs_are_one_map(two):
-    first, both = two
-    done = merge(read_fleet([first, both]))
-    one, other = FinishedRun(first).stats, FinishedRun(both).stats
+def test_merged_runs_are_one_map(two, light_drive, tmp_path):
+    first, _ = two
+    beside = driven_later(light_drive, tmp_path / 'beside', by=123_456_789)
+    (tmp_path / 'quick.yaml').write_text(QUICK)
+    second = tmp_path / 'second'
+    assert main(['map', str(beside), str(second), '--config', str(tmp_path / 'quick.yaml')]) == 0
+    done = merge(read_fleet([first, second]))
+    one, other = FinishedRun(first).stats, FinishedRun(second).stats
     assert done.result.statistics.components == 1
     assert done.result.statistics.clusters == one['clusters'] + other['clusters']
-    assert [session.joined_by for session in done.result.sessions] == [
-        '',
-        'fixes',
-        'fixes and closures',
-    ]
+    assert [session.joined_by for session in done.result.sessions] == ['', 'fixes']
     assert any('overlap in time' in note for note in done.statistics.input.notes)
+
+
+def test_a_drive_enters_a_joint_map_once(two, copy):
+    first, both = two
+    for again in (copy, both):  # a copy of the folder, and a map that has the drive in it
+        with pytest.raises(InputError, match=r'is the same drive as .*/first \(\d+ fixes'):
+            read_fleet([first, again])
+
+
+def test_a_drive_that_is_gone_on_with_itself_is_an_error(two, light_drive, tmp_path, capsys):
+    (tmp_path / 'quick.yaml').write_text(QUICK)
+    words = ['--config', str(tmp_path / 'quick.yaml')]
+    out = tmp_path / 'again'
+    assert main(['map', '--continue', str(two[0]), str(light_drive), str(out), *words]) == 1
+    assert 'session_repeated' in capsys.readouterr().err
+    stats, before = FinishedRun(out).stats, FinishedRun(two[0]).stats
+    assert stats['clusters'] == before['clusters'] and not stats.get('sessions')
+
+
+def test_settings_that_fix_another_datum_are_refused(two):
+    place = FinishedRun(two[0]).stats['datum']
+    own = dict(zip(('latitude', 'longitude', 'altitude'), place, strict=True))
+    same = {**going_on(two[0]), 'datum': {'fixed': True, **own}}
+    assert earlier_map(make_config(same)).datum == Datum(*place)
+    other = settings_merged(same, {'datum': {'latitude': 48.0}})
+    with pytest.raises(ConfigError, match='leave the datum out, or begin another map'):
+        earlier_map(make_config(other))
 
 
 def test_runs_that_cannot_be_related_are_refused(two, copy):
@@ -279,8 +316,8 @@ def test_runs_that_cannot_be_related_are_refused(two, copy):
 
 
 def test_fixes_that_contradict_what_both_show_are_an_error(two):
-    settings = make_config({})
-    earlier = earlier_map(two[0], settings.map)
+    settings = make_config(going_on(two[0]))
+    earlier = earlier_map(settings)
     part = earlier.run.result
     # As by a receiver with another reference station: the whole session, fixes and all, 2 m off.
     aside = turned(part, gtsam.Pose3(gtsam.Rot3(), np.array([1.2, 1.6, 0.0])), settings)
@@ -293,8 +330,8 @@ def test_fixes_that_contradict_what_both_show_are_an_error(two):
 
 def test_a_session_that_was_cut_off_is_recovered_with_the_one_before(two, copy, tmp_path):
     later = two[0].parent / 'later'
-    earlier = earlier_map(copy, make_config({}).map)
-    tree = settings_merged({'session': {'continue': str(copy)}}, earlier.settings)
+    earlier = earlier_map(make_config(going_on(copy)))
+    tree = settings_merged(going_on(copy), earlier.settings)
     mapped = Mapped(later, tmp_path / 'journals', tree)
     path = tmp_path / 'cut.journal'
     # The power goes while the last window is written.

@@ -38,6 +38,7 @@ from incremental_mapper.map.store import (
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.mapping.result import WindowResult
 from incremental_mapper.measurements import Drops
+from incremental_mapper.results.file_names import JOURNAL
 from incremental_mapper.results.journal.record_file import frame, title
 from incremental_mapper.results.plain_graph import (
     cluster_tree,
@@ -55,7 +56,6 @@ from incremental_mapper.smoothing.graph_state import (
 )
 
 LOGGER = logging.getLogger('incremental_mapper')
-SUFFIX = '.journal'
 BEGINNING, POINTS, WINDOW, FAILED = b'B', b'P', b'W', b'F'
 """Kinds of records."""
 
@@ -225,7 +225,7 @@ class Journal:
         name = time.strftime('drive_%Y%m%d_%H%M%S')
         number = 1
         while self._file is None:
-            path = folder / (f'{name}_{number}{SUFFIX}' if number > 1 else f'{name}{SUFFIX}')
+            path = folder / (f'{name}_{number}{JOURNAL}' if number > 1 else f'{name}{JOURNAL}')
             number += 1
             with contextlib.suppress(FileExistsError):
                 self._file = FileIO(path, 'x+')

@@ -24,11 +24,10 @@ from incremental_mapper.mapping.loop_closing import close_loops
 from incremental_mapper.mapping.result import MapResult, fixes_in_map, trajectory_of
 from incremental_mapper.mapping.statistics import MapStatistics
 from incremental_mapper.measurements import Drops
-from incremental_mapper.results.file_names import STATISTICS
+from incremental_mapper.results.file_names import JOURNAL, STATISTICS
 from incremental_mapper.results.journal.journal_writer import (
     BEGINNING,
     FAILED,
-    SUFFIX,
     WINDOW,
 )
 from incremental_mapper.results.journal.record_file import Damage, Record, content, records
@@ -97,9 +96,9 @@ def find_journals(place: Path) -> list[Path]:
     if (place / STATISTICS).is_file():
         require_whole(place)
         return []
-    found = sorted(place.glob(f'*{SUFFIX}'))
+    found = sorted(place.glob(f'*{JOURNAL}'))
     if not found:
-        raise InputError(f'{place}: holds no journal, a file that ends in {SUFFIX}')
+        raise InputError(f'{place}: holds no journal, a file that ends in {JOURNAL}')
     return found
 
 

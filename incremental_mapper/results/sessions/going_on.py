@@ -2,21 +2,26 @@
 
 from collections import Counter
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+
+import numpy as np
 
 from incremental_mapper.checks.finding import Finding, Severity, ranked
-from incremental_mapper.config import Config, MapSettings, Tree
-from incremental_mapper.errors import InputError
-from incremental_mapper.frontend.gnss import Datum
+from incremental_mapper.config import Config, Tree
+from incremental_mapper.errors import ConfigError, InputError, MapperError
+from incremental_mapper.frontend.gnss import Datum, fixed_datum
 from incremental_mapper.map.store import make_store
 from incremental_mapper.mapping.result import MapResult
 from incremental_mapper.results.run_statistics import InputFacts
 from incremental_mapper.results.sessions.joining import alone, joined
+from incremental_mapper.results.sessions.same_fixes import measured_twice
 from incremental_mapper.results.sessions.saved_run import SavedRun, read_saved_run
 from incremental_mapper.results.sessions.ties import disagreement, find_ties, tie_factors
 
-APART = 'session_apart'
-"""The finding of a session that does not know where it is in the map before."""
+APART, REPEATED = 'session_apart', 'session_repeated'
+"""The findings of a session that does not know where it is in the map before, and of one that is in
+it already."""
+SAME_DATUM = 1e-3
+"""Metres between two datums that are one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,10 +73,15 @@ class EarlierMap:
             return Whole(
                 replace(result, findings=ranked([*result.findings, self.apart(True)])), facts
             )
+        before = self.run.result
+        again = measured_twice(before, result)
+        if again:
+            return Whole(
+                replace(result, findings=ranked([*result.findings, self._repeated(again)])), facts
+            )
         counts = Counter(self.run.counts)
         counts.update(facts.counts)
         notes = (*facts.notes, f'goes on from {self.run.folder}')
-        before = self.run.result
         ties = find_ties(before, result, config)
         factors = tie_factors(ties, (0, len(before.clusters)), config.closure)
         both = joined([before, alone(result, facts.path)], config, factors, ties.searched)
@@ -83,6 +93,14 @@ class EarlierMap:
             replace(facts, counts=counts, notes=notes),
             self.run.wall,
         )
+
+    def _repeated(self, fixes: int) -> Finding:
+        text = (
+            f'{fixes} fixes of this session, at the same stamps and places, are in the map of '
+            f'{self.run.folder} already: it is the same drive'
+        )
+        remedy = 'what is written is the session alone: twice the same tells nothing new'
+        return Finding(REPEATED, Severity.ERROR, '', text, remedy)
 
     def apart(self, last: bool) -> Finding:
         """What tells that the session is a component of its own.
@@ -100,19 +118,20 @@ class EarlierMap:
         return Finding(APART, Severity.ERROR, '', text.replace(' yet', ''), remedy)
 
 
-def earlier_map(folder: Path | None, settings: MapSettings) -> EarlierMap | None:
-    """The map that the settings want to be gone on with.
+def earlier_map(config: Config) -> EarlierMap | None:
+    """The map that the settings want to be gone on with; None where a map begins.
 
     Args:
-        folder: ``session.continue``; None where a map begins.
-        settings: Those of the map: where points are kept.
+        config: All settings.
 
     Raises:
+        ConfigError: They fix the origin of the map elsewhere.
         InputError: It cannot be gone on with.
     """
+    folder = config.session.folder
     if folder is None:
         return None
-    run = read_saved_run(folder, make_store(settings))
+    run = read_saved_run(folder, make_store(config.map))
     if run.datum is None:
         raise InputError(
             f'{folder}: its map is not east-north-up, since no fixes told where it is: another '
@@ -123,7 +142,17 @@ def earlier_map(folder: Path | None, settings: MapSettings) -> EarlierMap | None
             f'{folder}: its map is in {run.result.statistics.components} pieces; it takes one that '
             'hangs together to go on'
         )
+    wanted = fixed_datum(config.datum)
+    if wanted is not None and np.linalg.norm(run.datum.enu_of(wanted)) > SAME_DATUM:
+        raise ConfigError(
+            f'datum: the settings fix {_told(wanted)}; the map in {folder}, in whose frame a '
+            f'session goes on, has {_told(run.datum)}: leave the datum out, or begin another map'
+        )
     return EarlierMap(run, run.datum)
+
+
+def _told(datum: Datum) -> str:
+    return f'{datum.latitude:.7f}, {datum.longitude:.7f}, {datum.altitude:.2f} m'
 
 
 def whole(
@@ -151,8 +180,8 @@ def whole_again(result: MapResult, config: Config, facts: InputFacts) -> Whole:
         facts: What it mapped.
     """
     try:
-        earlier = earlier_map(config.session.folder, config.map)
-    except InputError as error:
+        earlier = earlier_map(config)
+    except MapperError as error:
         text = f'the map before cannot be read: {error}'
         remedy = 'this is the map of the last session alone, in the frame of all'
         lost = Finding('session_lost', Severity.WARNING, '', text, remedy)

@@ -25,6 +25,7 @@ from incremental_mapper.measurements import Drops
 from incremental_mapper.results.finished_run import FinishedRun
 from incremental_mapper.results.run_statistics import InputFacts, RunStatistics
 from incremental_mapper.results.sessions.joining import alone, between_datums, joined, turned
+from incremental_mapper.results.sessions.same_fixes import measured_twice
 from incremental_mapper.results.sessions.saved_run import SavedRun, read_saved_run
 from incremental_mapper.results.sessions.ties import Ties, disagreement, find_ties, tie_factors
 from incremental_mapper.settings import make_config, to_tree
@@ -106,6 +107,12 @@ def read_fleet(folders: Sequence[Path]) -> Fleet:
         T_first_run = between_datums(first, _datum(run))
         _require_near(run, runs[0], T_first_run.translation())
         parts.append(alone(turned(run.result, T_first_run, config), str(run.folder)))
+    for one, other in combinations(range(len(runs)), 2):
+        if same := measured_twice(parts[one], parts[other]):
+            raise InputError(
+                f'{runs[other].folder}: is the same drive as {runs[one].folder} ({same} fixes have '
+                'the same stamps and places); a drive enters a joint map once'
+            )
     return Fleet(tuple(runs), tuple(parts), first, config)
 
 
