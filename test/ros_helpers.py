@@ -5,7 +5,7 @@ import json
 import os
 import threading
 import time
-from collections import Counter, defaultdict
+from collections import Counter, defaultdict, deque
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -68,7 +68,7 @@ QUICK = {
     'queue': {'max_delay': 0.0},
 }
 """Few judging points, views as soon as they change, and no scan left out on a slow machine."""
-_used_domains = set()
+_used_domains = deque(maxlen=40)
 
 
 @dataclass(frozen=True)
@@ -88,9 +88,12 @@ class Recorded:
 
 
 def next_domain():
-    """A domain that nobody on this machine uses, and no test before."""
+    """A domain that nobody on this machine uses, and no test of late.
+
+    There are a hundred, and more tests than that may run in one process.
+    """
     domain = free_domain(_used_domains)
-    _used_domains.add(domain)
+    _used_domains.append(domain)
     return domain
 
 
@@ -228,7 +231,7 @@ class NodeSession:
         """Give discovery the other way round, or messages under way, the time they need."""
         time.sleep(seconds)
 
-    def wait(self, condition, what, timeout=10.0):
+    def wait(self, condition, what, timeout=30.0):
         end = time.monotonic() + timeout
         while not condition():
             assert self.failure is None, self.failure

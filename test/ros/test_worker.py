@@ -54,7 +54,7 @@ class Run:
         return [item for item in list(self.told) if isinstance(item, kind)]
 
     def wait(self, condition, what):
-        end = time.monotonic() + 30.0
+        end = time.monotonic() + 60.0
         while not condition():
             assert self.worker.running(), f'the worker has ended: {what}'
             assert time.monotonic() < end, f'timed out: {what}'
@@ -83,7 +83,7 @@ class Run:
         self.wait(lambda: len(self.of(ViewUpdate)) > seen, f'the view {view}')
         return self.of(ViewUpdate)[-1]
 
-    def stop(self, seconds=30.0):
+    def stop(self, seconds=60.0):
         self.worker.begin_stop(seconds)
         self.worker.join()
 
