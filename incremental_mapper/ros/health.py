@@ -87,7 +87,8 @@ class Health:
         """Remember the newest window."""
         self._last = update
         self._windows += 1
-        self._inputs.lag.told(update.result.start, update.result.end, time.time())
+        if not update.on_order:
+            self._inputs.lag.told(update.result.start, update.result.end, time.time())
 
     def restart(self) -> None:
         """Forget the map before."""

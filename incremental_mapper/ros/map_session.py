@@ -113,7 +113,7 @@ class MapSession:
 
     def drain(self) -> Iterator[Told]:
         """Close and map every open window."""
-        return self._told(self._mapper.drain(NO_SHEDDING), NO_SHEDDING)
+        return self._told(self._mapper.drain(NO_SHEDDING), NO_SHEDDING, on_order=True)
 
     def view(self, view: View, graph_span: float) -> ViewUpdate:
         """Map, path or graph as they stand; ``graph_span`` is how much of the graph, seconds."""
@@ -196,19 +196,23 @@ class MapSession:
     def _wall(self) -> float:
         return 0.0 if self._started is None else time.perf_counter() - self._started
 
-    def _told(self, results: Iterable[WindowResult], shedding: LoadShedding) -> Iterator[Told]:
+    def _told(
+        self, results: Iterable[WindowResult], shedding: LoadShedding, on_order: bool = False
+    ) -> Iterator[Told]:
         """What is told of windows: first the pose that others steer by, then all else."""
         for result in results:
             self.limited_windows += shedding.candidates is not None
             pose = self._follower.pose(result)
             if pose is not None:
                 yield pose
-            yield self._update(result, None if pose is None else pose.newest)
+            yield self._update(result, None if pose is None else pose.newest, on_order)
             said = self._mapper.close_loops()
             if said is not None:
                 yield Trouble(said.text) if said.trouble else News(said.text)
 
-    def _update(self, result: WindowResult, newest: NewestState | None) -> WindowUpdate:
+    def _update(
+        self, result: WindowResult, newest: NewestState | None, on_order: bool
+    ) -> WindowUpdate:
         if self.journal is not None:
             self.journal.window(self._mapper, result, self._outside())
         if self._spool is not None:
@@ -230,7 +234,7 @@ class MapSession:
             known = self._mapper.state.georeferenced
             stats['session'] = 'joined' if known else 'apart'
             findings = findings if known else ranked([self._earlier.apart(False), *findings])
-        return WindowUpdate(result, newest, points, stats, findings)
+        return WindowUpdate(result, newest, points, stats, findings, on_order)
 
 
 def journal_folder(config: Config) -> Path | None:

@@ -21,7 +21,8 @@ class WindowUpdate:
 
     ``newest`` is None where the window appended nothing; ``points`` (N, 3) are its new points in
     the map, metres; ``stats`` the keys of stats.json so far; ``findings`` everything that was
-    found wrong with this map so far.
+    found wrong with this map so far. ``on_order`` ones were closed because somebody asked for it,
+    or the map ends, and not by what came in: how long they waited says nothing.
     """
 
     result: WindowResult
@@ -29,6 +30,7 @@ class WindowUpdate:
     points: NDArray[np.float64]
     stats: dict[str, Any]
     findings: tuple[Finding, ...]
+    on_order: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)

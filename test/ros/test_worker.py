@@ -415,6 +415,15 @@ def test_a_map_that_is_too_long_to_be_made_again_goes_on_where_stamps_are_put_ri
     assert found_stamps == moved
 
 
+def test_windows_that_are_closed_on_order_say_so(start):
+    run = start()
+    run.feed(run.measurements[: len(run.measurements) // 2])
+    run.wait(lambda: len(run.of(WindowUpdate)) > 5, 'windows')
+    assert run.order(Order.FLUSH)[0]
+    said = [item.on_order for item in run.of(WindowUpdate)]
+    assert said == sorted(said) and not said[0] and said[-1]
+
+
 MOVED = {'gnss': {'T_base_sensor': [0.0, 0.0, 2.0, 0.0, 0.0, 0.0, 1.0]}}
 
 
