@@ -1,6 +1,6 @@
 """Tells the messages of two receivers or IMUs on one topic apart by their frame_ids."""
 
-from collections import Counter
+from collections import Counter, defaultdict
 
 from incremental_mapper.checks.finding import Finding
 from incremental_mapper.checks.live_inputs import foreign_messages
@@ -14,6 +14,30 @@ name: a receiver of 1 Hz may miss a few."""
 OUTNUMBERS = 3
 """Or so many times as many messages of another one: the first message was a stray one."""
 
+MOST = 20
+"""frame_ids of one topic that are told apart: a driver that counts in them has ever new ones."""
+OTHERS = '(others)'
+
+
+class FrameNames:
+    """Names of the frame_ids of each topic: their own, as long as they are not too many."""
+
+    def __init__(self) -> None:
+        self._known: defaultdict[str, set[str]] = defaultdict(set)
+
+    def name(self, topic: str, frame: str) -> str:
+        """The frame_id, or OTHERS where the topic has had MOST without it.
+
+        Args:
+            topic: Of which topic, or sensor, the message is.
+            frame: Its frame_id.
+        """
+        known = self._known[topic]
+        if frame not in known and len(known) >= MOST:
+            return OTHERS
+        known.add(frame)
+        return frame
+
 
 class OneFrame:
     """Lets one frame_id a sensor pass: the first one, as long as it goes on and is no stray one.
@@ -24,6 +48,7 @@ class OneFrame:
 
     def __init__(self) -> None:
         self.drops: Drops = Counter()
+        self._names = FrameNames()
         self._own: dict[str, str] = {}
         self._newest: dict[str, int] = {}  # stamp of the own frame_id
         self._foreign: Counter[tuple[str, str]] = Counter()
@@ -37,6 +62,7 @@ class OneFrame:
             frame: Its frame_id.
             stamp: Its header stamp, ns.
         """
+        frame = self._names.name(sensor, frame)
         own = self._own.setdefault(sensor, frame)
         self._count[sensor, frame] += 1
         if frame != own:

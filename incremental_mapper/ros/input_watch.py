@@ -22,7 +22,7 @@ from incremental_mapper.checks.sweeps import (
 )
 from incremental_mapper.config import LidarSensor
 from incremental_mapper.datasets.first_look import LOOKED_AT
-from incremental_mapper.datasets.one_frame import FOREIGN, OneFrame
+from incremental_mapper.datasets.one_frame import FOREIGN, FrameNames, OneFrame
 from incremental_mapper.datasets.remarks import Remarks
 from incremental_mapper.datasets.topics import MAP_FRAMES
 from incremental_mapper.datasets.vendor_types import made_by
@@ -45,6 +45,7 @@ class InputWatch:
         """``topics`` are the full names by sensor, ``lidars`` the settings of the LiDARs."""
         self._cloud_drops: Drops = Counter()
         self._others = OneFrame()
+        self._names = FrameNames()
         self._topics = topics
         self._lidars = dict(lidars)
         self._owners: dict[str, dict[str, str | None]] = defaultdict(dict)
@@ -151,6 +152,7 @@ class InputWatch:
     def _owner(self, scan: LidarScan, frame: str) -> str | None:
         """Whose clouds of this frame_id on the sensor's topic are."""
         topic = self._topics[scan.sensor]
+        frame = self._names.name(topic, frame)
         owners = self._owners[topic]
         if frame not in owners:
             free = [

@@ -6,7 +6,8 @@ import pytest
 pytest.importorskip('rclpy', reason='rclpy is not installed (extra "ros")')
 
 from incremental_mapper.config import LidarSensor
-from incremental_mapper.measurements import make_scan
+from incremental_mapper.datasets.one_frame import MOST
+from incremental_mapper.measurements import make_imu, make_scan
 from incremental_mapper.ros.input_watch import LOOKS, InputWatch
 
 CLOUD, IMU = 'sensor_msgs/msg/PointCloud2', 'sensor_msgs/msg/Imu'
@@ -52,6 +53,20 @@ def test_a_frame_that_is_renamed_is_used_after_a_while(watch):
     assert all(watch.take(scan(i), 'old') for i in range(10))
     taken = [watch.take(scan(i), 'new') for i in range(10, 60)]
     assert not taken[0] and all(taken[30:])
+
+
+@pytest.mark.parametrize('sensor', ['left', 'imu'])
+def test_a_driver_that_counts_in_its_frame_id_is_heard_and_costs_no_more_with_every_message(
+    watch, sensor
+):
+    def message(number):
+        if sensor == 'imu':
+            return make_imu(number * SECOND // 10 + 1, sensor, np.zeros(3), np.ones(3))
+        return scan(number)
+
+    taken = [watch.take(message(number), f'frame_{number}') for number in range(400)]
+    assert all(taken[150:])
+    assert len(watch.findings(KEYS)) <= MOST
 
 
 @pytest.mark.parametrize('frames', [('velo_right', 'velo_left'), ('a', 'b')])
