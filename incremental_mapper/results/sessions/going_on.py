@@ -15,6 +15,7 @@ from incremental_mapper.results.run_statistics import InputFacts
 from incremental_mapper.results.sessions.joining import alone, joined
 from incremental_mapper.results.sessions.same_fixes import measured_twice
 from incremental_mapper.results.sessions.saved_run import SavedRun, read_saved_run
+from incremental_mapper.results.sessions.seam import seam_factors
 from incremental_mapper.results.sessions.ties import disagreement, find_ties, tie_factors
 
 APART, REPEATED = 'session_apart', 'session_repeated'
@@ -84,7 +85,8 @@ class EarlierMap:
         notes = (*facts.notes, f'goes on from {self.run.folder}')
         ties = find_ties(before, result, config)
         factors = tie_factors(ties, (0, len(before.clusters)), config.closure)
-        both = joined([before, alone(result, facts.path)], config, factors, ties.searched)
+        seams = seam_factors(before, result, config)
+        both = joined([before, alone(result, facts.path)], config, factors, ties.searched, seams)
         if ties.apart:
             found = disagreement(str(self.run.folder), facts.path, ties.apart)
             both = replace(both, findings=ranked([*both.findings, found]))

@@ -4,6 +4,7 @@ Sessions whose maps are east-north-up meet in the frame of the first one: every 
 to the earth, and so to the others. What their local maps say besides enters the same solve.
 """
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from itertools import accumulate
@@ -89,7 +90,11 @@ def turned(result: MapResult, T_target_map: gtsam.Pose3, config: Config) -> MapR
 
 @single_threaded_blas()
 def joined(
-    parts: Sequence[MapResult], config: Config, ties: Sequence[Factor] = (), searched: int = 0
+    parts: Sequence[MapResult],
+    config: Config,
+    ties: Sequence[Factor] = (),
+    searched: int = 0,
+    seams: Sequence[Factor] = (),
 ) -> MapResult:
     """Sessions that lie in one frame as one map, solved together.
 
@@ -99,6 +104,7 @@ def joined(
         ties: Closures between poses of different sessions, under their numbers in the joint map:
             those of a session count on from the clusters of the sessions before it.
         searched: How many pairs of local maps were compared for them.
+        seams: Other factors between them, under the same numbers; see ``seam_factors``.
 
     Returns:
         The map of all: every cluster, factor and scan of each.
@@ -110,7 +116,7 @@ def joined(
         for part, clusters, windows in zip(parts, clusters_before, windows_before, strict=False)
     ]
     clusters = tuple(item for part in parts_numbered for item in part.clusters)
-    factors = tuple(item for part in parts_numbered for item in part.factors)
+    factors = (*(item for part in parts_numbered for item in part.factors), *seams)
     values = gtsam.Values()
     for part in parts_numbered:
         values.insert(part.values)
@@ -133,7 +139,7 @@ def joined(
         fixes=np.array(positions, dtype=np.float64).reshape(-1, 3),
         rows=tuple(item for part in parts_numbered for item in part.rows),
         statistics=_statistics(
-            [part.statistics for part in parts], to_tree(config), (searched, len(ties)), failed
+            [part.statistics for part in parts], to_tree(config), searched, (*ties, *seams), failed
         ),
         findings=ranked(_worst_last(parts)),
         failed=tuple(item for part in parts_numbered for item in part.failed),
@@ -180,7 +186,8 @@ def _sessions(
 def _statistics(
     parts: Sequence[MapStatistics],
     settings: Mapping[str, Any],
-    ties: tuple[int, int],
+    searched: int,
+    between: Sequence[Factor],
     failed: bool,
 ) -> MapStatistics:
     """The counts of all, as if they had been counted together."""
@@ -190,13 +197,13 @@ def _statistics(
         for item in fields(MapStatistics)
         if item.name not in ('strategy', 'settings', 'verification', 'datum')
     }
-    searched, accepted = ties
+    own = Counter(str(factor.kind) for factor in between)
     if searched:
-        total['factors'] += accepted
-        closures = {'candidates': searched, 'accepted': accepted}
+        closures = {'candidates': searched, 'accepted': own[str(FactorKind.CLOSURE)]}
         total['closures'] = _sum([total['closures'], closures])
-        kinds = _sum([total['factors_by_kind'], {str(FactorKind.CLOSURE): accepted}])
-        total['factors_by_kind'] = dict(sorted(kinds.items()))
+    total['factors'] += len(between)
+    kinds = _sum([total['factors_by_kind'], own])
+    total['factors_by_kind'] = dict(sorted(kinds.items()))
     total['solver_failures'] += int(failed)
     # Each hangs on the one before it by what relates them.
     total['components'] -= len(parts) - 1
