@@ -147,6 +147,7 @@ class JumpFilter:
         self._sensors: dict[str, _Sensor] = {}
         self._order = 0
         self._clock_jumped = False
+        self._clock_refuted: int | None = None  # stamp from which on no sensor followed it
         self.jumps = 0
         self.drops: Drops = Counter()
         self.steps: Mapping[str, ClockStep] = {}
@@ -179,8 +180,11 @@ class JumpFilter:
         self.steps = {name: step for name, step in self.steps.items() if name not in sensors}
 
     def clock_jumped(self) -> None:
-        """The clock itself went back: one measurement of each sensor suffices as witness."""
-        self._clock_jumped = True
+        """The clock itself went back: one measurement of each sensor suffices as witness.
+
+        Not for ever: a clock that was set while the sensors kept theirs says nothing of them.
+        """
+        self._clock_refuted, self._clock_jumped = None, True
 
     def check(self, measurement: Measurement) -> Passed:
         """What to map now that ``measurement`` came."""
@@ -255,6 +259,10 @@ class JumpFilter:
 
     def _go_on(self, sensor: _Sensor, measurement: Measurement, others: int | None) -> Passed:
         stamp = measurement.stamp
+        if self._clock_jumped:
+            if self._clock_refuted is None:
+                self._clock_refuted = stamp + LONGEST_PATIENCE
+            self._clock_jumped = stamp <= self._clock_refuted
         self._drop(measurement.sensor, sensor, len(sensor.held))
         sensor.held = []
         if sensor.went_on == 0 or stamp > sensor.newest or sensor.away:

@@ -152,6 +152,17 @@ def test_jump_of_the_clock_needs_one_witness_of_each_sensor_only():
     assert not jumps.drops
 
 
+@pytest.mark.parametrize('sensors', [('left',), ('left', 'imu'), tuple(RATES)])
+def test_a_clock_that_went_back_while_the_sensors_did_not_proves_nothing_later(sensors):
+    jumps = JumpFilter(TimeJumpSettings())
+    feed(jumps, drive(2, sensors=sensors))
+    jumps.clock_jumped()
+    after = drive(8, START + 2 * SECOND, sensors=sensors)
+    stray = [made(name, START + SECOND // 2) for name in sensors]
+    passed, begun = feed(jumps, [*after, *stray, *drive(2, START + 10 * SECOND, sensors=sensors)])
+    assert not begun and jumps.jumps == 0
+
+
 def test_ignored_jump_is_counted_until_time_catches_up():
     jumps = JumpFilter(TimeJumpSettings(policy=TimeJumpPolicy.IGNORE))
     before, again = drive(5), drive(12, START - 5 * SECOND)
