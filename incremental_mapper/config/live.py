@@ -76,7 +76,8 @@ class SaveSettings(Section):
     folder: FolderName = Field(default='incremental_map', min_length=1)
     """Folder that the service save_map writes."""
     on_shutdown: FolderName = ''
-    """Folder to save into at shutdown and before a time jump resets the map; empty saves not."""
+    """Folder to save into at shutdown, and before a new map begins because of a time jump or of
+    a sensor whose place is told late; empty saves not."""
     every: float = Field(default=0.0, ge=0.0, le=86400.0)
     """Seconds of the map that a power cut may cost at the most: a journal (see ``journal``) is
     flushed to the disk so often. Where ``journal.folder`` is empty it lies in a folder named as
