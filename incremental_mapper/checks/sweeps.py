@@ -1,8 +1,10 @@
 """Consecutive clouds of one topic: whole sweeps of one LiDAR, parts of sweeps, or two LiDARs."""
 
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from incremental_mapper.checks.finding import Finding, Severity
 from incremental_mapper.checks.frame_names import shown_frame
@@ -30,6 +32,17 @@ around, at least, so that a lost cloud matters little. Where most clouds are bro
 0.8 wherever the medians alone took them for two LiDARs (8 of 100 stretches)."""
 _APART = 0.3
 """Metres by which mean and spread of two LiDARs' clouds differ at least; it was 4 to 6 m."""
+_SAME_PATTERN = 0.5
+"""Share of the directions that neighbouring clouds have in common, at least, where both are of
+turning heads: two VLP-16 have 0.74 and more. A solid-state LiDAR whose loops drift by half of
+their distance from cloud to cloud has 0.06 to 0.25: it is its pattern that takes turns."""
+_SAME_PLACE = 0.8
+"""How many of the common directions have the same range as in the last cloud, by how many as in
+the one before it, at least, where one LiDAR looks at one place: that one has 0.91 and more, two
+VLP-16 between houses 0.6."""
+_CELL = np.radians(0.5)
+_NEAR, _NEAR_SHARE = 0.3, 0.1
+"""Ranges in one direction agree within so many metres, and such a share of them."""
 
 
 def partial_sweeps(clouds: Sequence[Points]) -> float | None:
@@ -71,7 +84,43 @@ def take_turns(clouds: Sequence[Points]) -> bool:
     but_one = np.abs(kinds[2:] - kinds[:-2]).sum(axis=1)
     last, before = float(np.median(next_to)), float(np.median(but_one))
     turns = float((but_one < 0.5 * np.minimum(next_to[:-1], next_to[1:])).mean())
-    return last > _APART and before < _ALTERNATE * last and turns > _TURNS
+    if not (last > _APART and before < _ALTERNATE * last and turns > _TURNS):
+        return False
+    return not _one_place_in_turns([_view(cloud) for cloud in clouds])
+
+
+_View = tuple[NDArray[np.int64], NDArray[np.float64]]
+"""Directions in which a cloud has points, ascending, and the nearest range in each, metres."""
+
+
+def _one_place_in_turns(views: Sequence[_View]) -> bool:
+    """Whether clouds that take turns look into other directions and see the same place there."""
+    shared, last = np.median([_common(a, b) for a, b in pairwise(views)], axis=0)
+    _, before = np.median([_common(a, b) for a, b in zip(views, views[2:], strict=False)], axis=0)
+    return bool(shared < _SAME_PATTERN and last > _SAME_PLACE * before)
+
+
+def _view(cloud: Points) -> _View:
+    """What a cloud sees in which direction."""
+    ranges = np.linalg.norm(cloud, axis=1).astype(np.float64)
+    azimuth = np.arctan2(cloud[:, 1], cloud[:, 0])
+    elevation = np.arctan2(cloud[:, 2], np.hypot(cloud[:, 0], cloud[:, 1]))
+    columns = np.floor(azimuth / _CELL).astype(np.int64)
+    cells = columns * 1000 + np.floor(elevation / _CELL).astype(np.int64)
+    order = np.argsort(cells, kind='stable')
+    directions, starts = np.unique(cells[order], return_index=True)
+    return directions, np.minimum.reduceat(ranges[order], starts)
+
+
+def _common(one: _View, other: _View) -> tuple[float, float]:
+    """Share of the directions that two clouds have in common, and of those with one range."""
+    directions, first, second = np.intersect1d(
+        one[0], other[0], assume_unique=True, return_indices=True
+    )
+    a, b = one[1][first], other[1][second]
+    near = np.abs(a - b) < _NEAR + _NEAR_SHARE * np.minimum(a, b)
+    share = len(directions) / min(len(one[0]), len(other[0]))
+    return share, float(near.mean()) if len(directions) else 0.0
 
 
 def sector_clouds(lidar: str, topic: str, share: float) -> Finding:

@@ -15,8 +15,10 @@ from incremental_mapper.datasets.point_times import TIME_FIELDS
 from incremental_mapper.errors import MeasurementError
 from incremental_mapper.measurements import Points, Remark
 
-# sensor_msgs/PointField: datatype number to NumPy code.
-_DATATYPES = {1: 'i1', 2: 'u1', 3: 'i2', 4: 'u2', 5: 'i4', 6: 'u4', 7: 'f4', 8: 'f8'}
+# sensor_msgs/PointField: datatype number to NumPy code. The last two are PCL's own.
+_DATATYPES = {
+    1: 'i1', 2: 'u1', 3: 'i2', 4: 'u2', 5: 'i4', 6: 'u4', 7: 'f4', 8: 'f8', 9: 'i8', 10: 'u8',
+}  # fmt: skip
 # Read in the wrong byte order, a float has a random exponent: 16 % of them fall between these.
 _LEAST, _MOST = 1e-6, 1e6
 _MILLIMETRES = 2e3, 2e5
@@ -32,7 +34,9 @@ _MAX_STEP = 1 << 16
 _FEWEST_JUDGED = 20
 """Points with which a cloud's unit is judged."""
 
-_FLOAT32, _FLOAT64 = 7, 8
+_FLOAT32, _FLOAT64, _UINT64 = 7, 8, 10
+_LONG = 8
+"""Bytes of a 64-bit integer."""
 
 INTENSITY_FIELDS = ('intensity', 'reflectivity', 'i')
 """What drivers call it, the first one that is there counts; Ouster's have the first two."""
@@ -217,8 +221,11 @@ def _declared_fields(message: Any) -> tuple[list[_Field], tuple[Remark, ...]]:
             continue  # the points are of use without it
         if datatype not in _DATATYPES:
             raise MeasurementError(
-                'wrong_type', f'field {field.name!r} has datatype {field.datatype}, expected 1 to 8'
+                'wrong_type',
+                f'field {field.name!r} has datatype {field.datatype}, expected 1 to 10',
             )
+        if name in TIME_FIELDS and _is_long(field, int(message.point_step)):
+            datatype = _UINT64
         fields[name] = _Field(name, datatype, int(field.offset))
         if name != field.name and name not in INTENSITY_FIELDS:
             renamed.append(field.name)
@@ -229,6 +236,13 @@ def _declared_fields(message: Any) -> tuple[list[_Field], tuple[Remark, ...]]:
         return list(fields.values()), ()
     text = f'fields {", ".join(renamed)} are taken for {", ".join(renamed).lower()}'
     return list(fields.values()), (Remark('field_names', text),)
+
+
+def _is_long(field: Any, point_step: int) -> bool:
+    """Whether integers that are one field are the bytes of a 64-bit one, which has no number."""
+    code = np.dtype(_DATATYPES[int(field.datatype)])
+    whole = int(field.count) > 1 and int(field.count) * code.itemsize == _LONG
+    return whole and code.kind in 'iu' and int(field.offset) + _LONG <= point_step
 
 
 def _readable(field: Any, point_step: int) -> bool:

@@ -23,8 +23,12 @@ _UNITS = {'s': 1.0, 'ms': 1e-3, 'us': 1e-6, 'ns': 1e-9}
 # A sweep takes 0.05 s to 0.2 s. The bounds are wider, and their ratio of 1000 leaves one unit.
 _MIN_SWEEP = 5e-4
 _MAX_SWEEP = 0.5
-# Times that are nearer to zero than this many seconds count from the header stamp.
-_MAX_RELATIVE = 1.0
+# Times between or next to which the header stamp lies count from it: a tenth or a fifth of a second
+# are between it and a part of a sweep that has the stamp of the whole. What is further off is on a
+# clock of its own that has just begun, or begun anew.
+_BESIDE = 0.25
+# Times that are nearer to the header stamp than this many seconds are of its clock.
+_SAME_CLOCK = 1.0
 # The share of times at either end that may be absurd, and how far the others reach beyond the
 # rest, in spans of it: a sweep of constant speed reaches 0.06. So many times tell the span.
 _ABSURD_SHARE = 0.05
@@ -92,12 +96,12 @@ def point_times(table: NDArray[np.void], stamp: int, points: Points) -> PointTim
     if unit is None:
         return _unusable(f'field {name!r} spans {high - low:g}, which is no sweep')
     scale = _UNITS[unit]
-    if max(abs(low), abs(high)) * scale <= _MAX_RELATIVE:
+    if max(low, -high) * scale <= _BESIDE:
         note = f'field {name!r} in {unit} from the header stamp'
         return PointTimes(values * scale, note, remarks)
     # Doubles resolve today's epoch to 0.3 us, in every unit.
     header = stamp / NANOSECONDS / scale
-    if max(abs(low - header), abs(high - header)) * scale <= _MAX_RELATIVE:
+    if max(abs(low - header), abs(high - header)) * scale <= _SAME_CLOCK:
         note = f'field {name!r} in {unit} of the epoch'
         return PointTimes((values - header) * scale, note, remarks)
     return PointTimes(

@@ -25,6 +25,46 @@ def test_one_lidar_does_not():
     assert not take_turns([sweep(rng) for _ in range(FEWEST_CLOUDS)])
 
 
+def rosette(number, rng):
+    """A solid-state LiDAR of 70 x 40 degrees in a street, whose loops drift from cloud to cloud."""
+    times = number * 0.1 + np.arange(8000) / 80_000
+    first, second = 2 * np.pi * 71.3 * times, -2 * np.pi * 66.2 * times
+    azimuth = np.radians(35.0) * 0.5 * (np.cos(first) + np.cos(second))
+    elevation = np.radians(20.0) * 0.5 * (np.sin(first) + np.sin(second))
+    level = np.cos(elevation)
+    rays = np.column_stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)])
+    # The road, the houses on both sides and at the end of the street.
+    planes = np.array(
+        [[0.0, 0.0, -1 / 1.7], [0.0, 1 / 12, 0.0], [0.0, -1 / 9, 0.0], [1 / 60, 0, 0]]
+    )
+    ranges = 1.0 / (rays @ planes.T).max(axis=1)
+    return rays * (ranges + rng.normal(scale=0.02, size=len(ranges)))[:, None]
+
+
+def test_a_pattern_that_takes_turns_is_one_lidar():
+    """Every second cloud of it looks along nearly the same loops."""
+    rng = np.random.default_rng(4)
+    assert not take_turns([rosette(number, rng) for number in range(24)])
+
+
+def test_two_turning_lidars_that_see_nearly_the_same_are_two():
+    """In open country ranges of both agree, but so do the directions of one with the other's."""
+    azimuth, elevation = np.meshgrid(
+        np.radians(np.arange(0.25, 360.0, 0.5)), np.radians(np.arange(-14.75, -1.0, 2.0))
+    )
+    rays = np.stack(
+        [
+            np.cos(elevation) * np.cos(azimuth),
+            np.cos(elevation) * np.sin(azimuth),
+            np.sin(elevation),
+        ],
+        axis=-1,
+    ).reshape(-1, 3)
+    ground = rays * (1.7 / -rays[:, 2:])
+    clouds = [ground * (1.0 if number % 2 else 1.05) for number in range(24)]
+    assert take_turns(clouds)
+
+
 def test_broken_clouds_among_sound_ones_are_no_second_lidar():
     """Whatever is wrong with them: the medians alone took one stretch in ten for two LiDARs."""
     rng = np.random.default_rng(3)

@@ -188,11 +188,43 @@ FRACTIONS = np.array([0.0, 0.03, 0.06, 0.1])
         ('f8', STAMP + FRACTIONS * 1e9, FRACTIONS),
         # The sensor's own clock, here microseconds of the hour: from the first point on.
         ('u4', 1.9e9 + FRACTIONS * 1e6, FRACTIONS),
+        # The same shortly after such a counter began anew.
+        ('u4', 4e8 + FRACTIONS * 1e9, FRACTIONS),
     ],
 )
 def test_units_and_origins_of_point_times(field, code, values, expected):
     scan = scan_from_message(cloud(xyz() | {field: (code, values)}), 'left')
     np.testing.assert_allclose(scan.point_times, expected, atol=1e-6)
+
+
+def nanoseconds(order='<'):
+    """A cloud whose points have the nanoseconds of the epoch, as 64-bit integers."""
+    times = STAMP + np.rint(FRACTIONS * 1e9).astype(np.int64)
+    if order == '>':
+        halves = {'t': ('u4', times >> 32), 'low': ('u4', times & 0xFFFFFFFF)}
+    else:
+        halves = {'t': ('u4', times & 0xFFFFFFFF), 'high': ('u4', times >> 32)}
+    message = cloud(xyz() | halves, order)
+    message.fields.pop()
+    return message
+
+
+@pytest.mark.parametrize('order', ['<', '>'])
+@pytest.mark.parametrize(('datatype', 'count'), [(6, 2), (5, 2), (2, 8), (10, 1), (9, 1)])
+def test_times_of_64_bits_are_read_however_they_are_declared(order, datatype, count):
+    """``PointField`` knows none: two halves, eight bytes, or the numbers that PCL has for them."""
+    message = nanoseconds(order)
+    message.fields[-1].datatype, message.fields[-1].count = datatype, count
+    scan = scan_from_message(message, 'left')
+    np.testing.assert_allclose(scan.point_times, FRACTIONS, atol=1e-6)
+    assert describe_times(message) == "field 't' in ns of the epoch"
+
+
+def test_two_numbers_at_the_end_of_a_point_are_no_64_bits():
+    """Of a field that would reach beyond the point only its first number is read."""
+    message = cloud(xyz() | {'t': ('u4', FRACTIONS * 1e9)})
+    message.fields[-1].count = 2
+    np.testing.assert_allclose(scan_from_message(message, 'left').point_times, FRACTIONS, atol=1e-6)
 
 
 @pytest.mark.parametrize(
