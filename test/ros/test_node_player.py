@@ -187,6 +187,7 @@ def test_looped_bag_with_clock_starts_a_new_map_after_saving_the_old(start, ligh
     player.send_signal(signal.SIGINT)
     assert player.wait(30.0) == 130
     assert client.fresh_diagnostics()['worker']['time_jumps'] >= 1
+    programs.wait(last.is_dir, 'the first map, which is written beside the second')
     assert_complete(last)
     assert_same_graph(last, map_offline(light_bag, bag_parameters(light_bag)))
     programs.end_node()
