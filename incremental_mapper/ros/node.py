@@ -405,6 +405,8 @@ def _start(args: list[str] | None) -> MapperNode:
     # A parameter file, argument or type of a value that rclpy cannot read.
     except (RuntimeError, ValueError) as error:
         reason = ' '.join(str(error).split())
+        if 'PARAMETER_NOT_SET' in reason:
+            reason = 'one of them is an empty list, which has no type in ROS; leave its name out'
         raise ConfigError(f'arguments or parameters cannot be used: {reason}') from error
 
 

@@ -52,6 +52,10 @@ class NodeParameters:
             for name, parameter in node.get_parameters_by_prefix('').items()
             if name not in NOT_OURS and not name.startswith('qos_overrides.')
         }
+        # rclpy only logs that it cannot use this one, and goes on with the system's time.
+        sim_time = node.get_parameter('use_sim_time').value
+        if not isinstance(sim_time, bool):
+            raise ConfigError(f'parameters: use_sim_time is {sim_time!r}; it must be true or false')
         self.given = nested(given)
         self.config = _config(given)
         for name in given:

@@ -252,9 +252,13 @@ class Reception:
                 qos_overriding_options=QoSOverridingOptions(OVERRIDABLE),
             )
         except (AssertionError, RuntimeError, TypeError, ValueError) as error:
-            reason = ' '.join(str(error).split())
+            # The middleware does not say which, where a value is of the wrong type.
+            prefix = f'qos_overrides.{self.topic}.subscription'
+            given = self._node.get_parameters_by_prefix(prefix)
+            values = ', '.join(f'{name} is {item.value!r}' for name, item in given.items())
+            reason = ' '.join(str(error).split()) or 'a value of the wrong type'
             raise ConfigError(
-                f'parameters: qos_overrides.{self.topic}.subscription cannot be used: {reason}'
+                f'parameters: {prefix} cannot be used ({values}): {reason}'
             ) from error
         if qos.depth < 1:
             raise ConfigError(

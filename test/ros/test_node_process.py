@@ -41,6 +41,25 @@ def test_wrong_parameter_stops_the_node_with_one_line(tmp_path, tree, word):
     assert err.startswith('incremental_mapper: ') and out == ''
 
 
+@pytest.mark.parametrize(
+    ('word', 'said'),
+    [
+        ('qos_overrides./imu.subscription.depth:=many', "depth is 'many'"),
+        ('use_sim_time:=5', 'use_sim_time is 5; it must be true or false'),
+        ('lidars.names:=[]', 'empty list'),
+        ('graph.lag:=five', "graph.lag is 'five'"),
+        ('tf.publish:=true', 'tf.publish is True'),
+        ('imu.topic:=5', 'imu.topic is 5'),
+    ],
+)
+def test_a_value_of_the_wrong_type_is_named_and_stops_the_node(tmp_path, word, said):
+    process = launch(tmp_path, {}, '-p', word)
+    _, err = process.communicate(timeout=60.0)
+    assert process.returncode == 1
+    line = err.splitlines()[-1]
+    assert line.startswith('incremental_mapper: ') and said in line and 'Traceback' not in err
+
+
 def test_damaged_parameter_file_stops_the_node_with_one_line(tmp_path):
     process = launch(tmp_path, {}, '--params-file', str(tmp_path / 'missing.yaml'))
     _, err = process.communicate(timeout=20.0)
