@@ -9,14 +9,20 @@ taken; no middleware is in between. Prints, of the newest pose of each window, t
 squared error in standard deviations for each dimension (1 where the covariance is right), before
 and after every correction; the seconds from the end of a window to its pose, while a search goes on
 and while none does; and what the windows cost in the first tenth of the drive and in the last.
+
+The clouds are kept in a file: a process that holds gigabytes takes long to fork, and a node holds
+none of what is to come. Python's lock changes hands as in the node.
 """
 
 import argparse
+import sys
+import tempfile
 import threading
 import time
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -25,15 +31,17 @@ from numpy.typing import NDArray
 
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.datasets.simulated.options import SceneKind
+from incremental_mapper.garbage import search_little
 from incremental_mapper.mapping.following import PoseUpdate
 from incremental_mapper.measurements import NANOSECONDS, Measurement
 from incremental_mapper.results.opened_drive import effective_config
 from incremental_mapper.ros.updates import News, Trouble, Update, WindowUpdate
-from incremental_mapper.ros.worker import Worker
+from incremental_mapper.ros.worker import SWITCH, Worker
 from incremental_mapper.settings import merge, read_yaml
 from incremental_mapper.trajectory import Trajectory
 
 CONFIG = Path(__file__).parents[1] / 'config' / 'kaist.yaml'
+COLUMNS, ALIGNED = ('points', 'point_times', 'intensities'), 64
 ANCHORED = 18.0
 """Seconds within which fixes tell where the map lies in the frame of the truth."""
 
@@ -57,6 +65,31 @@ class Heard:
             self.windows.append((now, update))
         elif isinstance(update, News | Trouble):
             self.said.append((len(self.poses), update.message))
+
+
+def on_disk(measurements: Iterable[Measurement]) -> list[Measurement]:
+    """Measurements whose clouds lie in a file, from which they are read when they are due."""
+    kept: list[tuple[Measurement, dict[str, tuple[Any, ...]]]] = []
+    with tempfile.TemporaryFile() as file:
+        for item in measurements:
+            places: dict[str, tuple[Any, ...]] = {}
+            for name in COLUMNS:
+                column = getattr(item, name, None)
+                if column is not None:
+                    file.write(bytes(-file.tell() % ALIGNED))
+                    places[name] = file.tell(), column.nbytes, column.dtype, column.shape
+                    file.write(column.tobytes())
+            kept.append((replace(item, **dict.fromkeys(places)), places))
+        file.flush()
+        whole = np.memmap(file, np.uint8, 'c').view(np.ndarray)
+
+    def read(offset: int, size: int, kind: np.dtype, shape: tuple[int, ...]) -> np.ndarray:
+        return whole[offset : offset + size].view(kind).reshape(shape)
+
+    return [
+        replace(item, **{name: read(*place) for name, place in places.items()})
+        for item, places in kept
+    ]
 
 
 def played(measurements: Iterable[Measurement], worker: Worker) -> float:
@@ -117,7 +150,9 @@ def main() -> None:
     if truth is None:
         raise SystemExit(f'{drive}: has no truth')
     config = effective_config(source, merge(tree, {'window': {'predict': True}}), '')
-    measurements = list(source.measurements())
+    sys.setswitchinterval(SWITCH)
+    search_little()
+    measurements = on_disk(source.measurements())
     last = measurements[0].stamp + min(args.seconds, 1e6) * NANOSECONDS
     heard = Heard()
     worker = Worker(config, heard.take)
@@ -150,6 +185,12 @@ def report(heard: Heard, rows: NDArray[np.float64], zero: float) -> None:
     print(f'{len(ends)} poses; from the stamp of a pose to the pose')
     print(f'  while a search goes on: {quantiles(late[searching])}')
     print(f'  while none does:        {quantiles(late[~searching])}')
+    windows = {item.newest.stamp: item.result.end for _, item in heard.windows if item.newest}
+    stamps = [update.newest.stamp for _, update, _ in heard.poses]
+    waited = np.array([(windows[stamp] - stamp) / NANOSECONDS for stamp in stamps])
+    print('of that, from the end of its window to the pose')
+    print(f'  while a search goes on: {quantiles((late - waited)[searching])}')
+    print(f'  while none does:        {quantiles((late - waited)[~searching])}')
     costs = np.array([update.result.row['window_s'] for _, update in heard.windows])
     tenth = max(len(costs) // 10, 1)
     first, end = costs[:tenth].mean(), costs[-tenth:].mean()

@@ -18,13 +18,24 @@ UNMARKED = np.empty(0, dtype=np.int32)
 """The marks of points of which nobody keeps any."""
 ROOM = 1024
 """Voxels for which a grid has room when nothing is said."""
+GROWTH = 16
+"""Room grows by one part in so many, since fresh memory costs as much as what is done with it."""
+TOUCHED = 1 << 17
+"""Slots of the next table that are written for the first time with each cloud, before any voxel
+enters it: where voxels do that, each of them waits for a page of memory."""
+PARTS = 4
+"""For each point that is added, so many voxels enter the next table."""
+FULLEST = 0.75
+"""Share of a table's slots that are taken at the most; more are asked in vain for one point."""
 
 
 class VoxelGrid:
     """Voxels with the mean of the points in each; takes points at any time.
 
-    Adding costs as much as what is added: the table doubles when it is full. A voxel takes 32
-    bytes, and 8 to 16 in the table, with intensity and without.
+    Adding costs as much as what is added, and never much more: with a million voxels a table that
+    doubles at once took a fifth of a second, for which a vehicle's pose waited. So the next table
+    is filled a part at a time, while the one before it is used. A voxel takes 32 bytes, and 8 to 16
+    in the table, with intensity and without; for a while there are two.
 
     A voxel's intensity is the mean of those of its points that have one; a point without takes the
     mean so far, so that one number holds it all. It is NaN where no point has any.
@@ -78,13 +89,7 @@ class VoxelGrid:
         if self._marked and len(marks) != len(columns):
             raise ValueError(f'{len(marks)} marks for {len(columns)} points')
         self._columns = max(self._columns, columns.shape[1])
-        wanted = self._used + len(columns)
-        if wanted > len(self._cells):
-            before, marked = self._cells[: self._used], self._marks[: self._used]
-            self._make(max(wanted, 2 * len(self._cells)))
-            self._cells[: self._used] = before
-            self._marks[: len(marked)] = marked
-            _enter(before, self._table)
+        self._reserve(len(columns))
         sums = self._cells.view(np.float32)
         rows = transform[:3].copy()
         cells, kept = (self._cells, sums), (marks, self._marks)
@@ -148,14 +153,43 @@ class VoxelGrid:
     @property
     def nbytes(self) -> int:
         """Memory that the voxels take; what is kept free for more is not counted."""
-        return self._table.nbytes + self._cells[: self._used].nbytes
+        coming = 0 if self._next is None else self._next.nbytes
+        return self._table.nbytes + coming + self._cells[: self._used].nbytes
 
     def _make(self, room: int) -> None:
-        # At least half of the slots stay free, so that few are asked for one point.
-        self._table = np.full(1 << (2 * room - 1).bit_length(), -1, dtype=np.int32)
+        self._table = _new_table(room)
+        self._next: NDArray[np.int32] | None = None
+        self._entered = self._touched = 0  # of the voxels and the slots, in the next table
         # A voxel's numbers lie side by side: what takes time is fetching them from memory.
         self._cells = np.empty((room, 8), dtype=np.int32)
         self._marks = np.empty(room if self._marked else 0, dtype=np.int32)
+
+    def _reserve(self, more: int) -> None:
+        """Make room for so many more voxels."""
+        wanted = self._used + more
+        if wanted > len(self._cells):
+            room = max(wanted, len(self._cells) + len(self._cells) // GROWTH)
+            # The system moves such a piece of memory without copying it. Nobody else holds it:
+            # what is taken out is a copy.
+            self._cells.resize((room, 8), refcheck=False)
+            if self._marked:
+                self._marks.resize(room, refcheck=False)
+        while self._next is not None or 2 * wanted > len(self._table):
+            if self._next is None:
+                self._next = _new_table(max(wanted, len(self._table)))
+                self._entered = self._touched = 0
+            # All at once where there is no time: the table would be full.
+            soon = wanted > FULLEST * len(self._table)
+            if self._touched < len(self._next) and not soon:
+                self._next[self._touched : self._touched + TOUCHED] = 0
+                self._touched += TOUCHED
+                break
+            end = self._used if soon else min(self._entered + PARTS * more, self._used)
+            _enter(self._cells[self._entered : end], self._entered, self._next)
+            self._entered = end
+            if end < self._used:
+                break
+            self._table, self._next = self._next, None
 
 
 def mean_points(
@@ -226,15 +260,21 @@ def _mixed(p: np.int32, q: np.int32, r: np.int32) -> np.uint64:
     return mixed >> np.uint64(32)
 
 
+def _new_table(room: int) -> NDArray[np.int32]:
+    """A table where half of the slots or more stay free with so many voxels; 0 is a free one."""
+    # Of zeros, which take no memory before they are written.
+    return np.zeros(1 << (2 * room - 1).bit_length(), dtype=np.int32)
+
+
 @kernel
-def _enter(cells: NDArray[np.int32], table: NDArray[np.int32]) -> None:
-    """Note in an empty table where each of ``cells`` (M, 8) stands; no two are the same."""
+def _enter(cells: NDArray[np.int32], first: int, table: NDArray[np.int32]) -> None:
+    """Note in a table, which has none of them, where ``cells`` (M, 8) stand, from ``first`` on."""
     mask = np.uint64(len(table) - 1)
     for place in range(len(cells)):
         slot = _mixed(cells[place, 0], cells[place, 1], cells[place, 2]) & mask
-        while table[slot] >= 0:
+        while table[slot] > 0:
             slot = (slot + np.uint64(1)) & mask
-        table[slot] = place
+        table[slot] = first + place + 1
 
 
 @kernel
@@ -247,8 +287,8 @@ def _absent(
     for i in range(len(cells)):
         p, q, r = cells[i, 0], cells[i, 1], cells[i, 2]
         slot = _mixed(p, q, r) & mask
-        while table[slot] >= 0:
-            place = table[slot]
+        while table[slot] > 0:
+            place = table[slot] - 1
             if others[place, 0] == p and others[place, 1] == q and others[place, 2] == r:
                 absent[i] = False
                 break
@@ -273,9 +313,9 @@ def _add(
     voxel takes no more. ``kept`` are ``cells`` and ``sums``: ``cells`` (M, 8) begin with the place
     of a voxel in the grid; ``sums`` (M, 8), the same memory, go on with the sum of its points'
     intensities, NaN as long as none has any, and end with the sum of its points, from its own
-    corner, and their number. ``table`` says where a voxel stands, -1 for nowhere; ``used`` of them
-    are taken, and how many there are afterwards is returned. ``marked`` are the marks of the points
-    and of the voxels, both empty where nobody wants them.
+    corner, and their number. ``table`` says where a voxel stands, counted from 1, 0 for nowhere;
+    ``used`` of them are taken, and how many there are afterwards is returned. ``marked`` are the
+    marks of the points and of the voxels, both empty where nobody wants them.
     """
     (cells, sums), (own_marks, marks) = kept, marked
     mask = np.uint64(len(table) - 1)
@@ -294,10 +334,10 @@ def _add(
         p, q, r = np.int32(a), np.int32(b), np.int32(c)
         slot = _mixed(p, q, r) & mask
         while True:
-            place = table[slot]
+            place = table[slot] - 1
             if place < 0:
                 place = used
-                table[slot] = place
+                table[slot] = place + 1
                 cells[place, 0], cells[place, 1], cells[place, 2] = p, q, r
                 sums[place, 3] = np.nan
                 for k in range(4, 8):

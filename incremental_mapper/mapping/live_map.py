@@ -17,7 +17,7 @@ from incremental_mapper.config import Config
 from incremental_mapper.geometry import matrix_numbers, transform_points
 from incremental_mapper.graph.factors import Factor, FactorKind, pose_numbers
 from incremental_mapper.map.cloud import joined, with_known_light
-from incremental_mapper.map.voxel_grid import VoxelGrid, warm_up
+from incremental_mapper.map.voxel_grid import ROOM, VoxelGrid, warm_up
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.mapping.result import MapResult
 from incremental_mapper.measurements import NANOSECONDS
@@ -28,8 +28,9 @@ _FULLEST = 65_536.0
 """Points after which a voxel takes no more; its sums stay exact to a fraction of a millimetre."""
 EARLIER = -1
 """Stands for a cluster of the map before."""
-AGAIN_SCANS, AGAIN_POSES = 20, 200
-"""Scans, and poses of the path, that are placed again with each window: some milliseconds."""
+AGAIN_SCANS, AGAIN_POSES = 8, 200
+"""Scans, and poses of the path, that are placed again with each window: 5 ms. What comes in
+meanwhile waits, and with it the next pose."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -186,7 +187,8 @@ class LiveMap:
                 self._path[place] = (stamp, pose_numbers(state.pose(cluster)), cluster)
         self._old_path = max(self._old_path - AGAIN_POSES, 0)
         if self._again is None and state.shifted - self._placed_at > self._size:
-            self._again, self._placed_again = self._empty_grid(), 0
+            # To grow would take a tenth of a second at a time, with a million voxels.
+            self._again, self._placed_again = self._empty_grid(len(self._cloud)), 0
             self._again_at = state.shifted
             self._again_earlier = self._of_earlier()
         if self._again is None:
@@ -223,9 +225,9 @@ class LiveMap:
         settings = self._config.map
         return settings.display_voxel_size or settings.voxel_size
 
-    def _empty_grid(self) -> VoxelGrid:
-        settings = self._config.map
-        return VoxelGrid(self._size, max_range=settings.max_range, fullest=_FULLEST)
+    def _empty_grid(self, room: int = ROOM) -> VoxelGrid:
+        most = self._config.map.max_range
+        return VoxelGrid(self._size, max_range=most, fullest=_FULLEST, room=max(room, ROOM))
 
     def _add(self, grid: VoxelGrid, scan: PlacedScan) -> None:
         grid.add(scan.cloud, self._pose(scan))

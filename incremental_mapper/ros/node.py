@@ -65,15 +65,11 @@ from incremental_mapper.ros.updates import (
     ViewUpdate,
     WindowUpdate,
 )
-from incremental_mapper.ros.worker import Worker
+from incremental_mapper.ros.worker import SWITCH, Worker
 from incremental_mapper.settings import merge
 
 TICK = 0.1
 """Seconds between two looks at what is due, and the longest wait for a signal."""
-SWITCH = 0.0005
-"""Seconds for which a thread may keep Python's lock where another one waits for it. Of Python's own
-5 ms each message and each pose that is published would wait several times, beside a worker that
-computes."""
 ARRIVAL_LIMIT = 1.0
 """Seconds for which a flush lets messages come in that were sent before it."""
 

@@ -16,7 +16,7 @@ from typing import BinaryIO, NoReturn
 
 from incremental_mapper.mapping.live_closing import Arrived, Search, unpacked
 from incremental_mapper.ros.forks import Idleness, forked, stand_alone
-from incremental_mapper.ros.urgency import make_way
+from incremental_mapper.ros.urgency import give_way, make_way
 
 NICE = 10
 """By how much a search is less urgent than the windows; a save is half as polite."""
@@ -99,6 +99,7 @@ def _search_there(search: Callable[[], Search], file: BinaryIO) -> NoReturn:
     try:
         stand_alone()
         make_way(NICE)
+        give_way()
         try:
             found: Search | str = search()
         # The libraries below raise what they like; the map goes on without what they would find.

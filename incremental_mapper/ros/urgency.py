@@ -11,6 +11,17 @@ ATTEMPTS, PAUSE = 5, 0.15
 """The kernel takes a group's niceness from users no more than ten times a second."""
 
 
+def give_way() -> None:
+    """Let every other process that has anything to do go first, at once, where that can be said.
+
+    A process that is only nicer goes on for some milliseconds where another one wakes up, and
+    windows wait for two or three of those. It has its share all the same where all processors are
+    busy: that is told by its session's niceness.
+    """
+    with contextlib.suppress(OSError, AttributeError):
+        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+
+
 def make_way(nice: int, process: int | None = None) -> None:
     """Make a process that has a session of its own less urgent than others.
 

@@ -29,8 +29,13 @@ from incremental_mapper.settings import as_it_was, make_config, merge, to_tree
 
 SHUTDOWN = 'shutdown'
 """Why a measurement was lost that waited when the time to stop was over."""
-LOOK = 0.005
-"""Seconds between two looks whether the scans of a closed window are prepared."""
+LOOK = 0.001
+"""Seconds between two looks whether the scans of a closed window are prepared: they take some
+milliseconds, and so long its pose waits."""
+SWITCH = 0.0005
+"""Seconds for which a thread may keep Python's lock where another one waits for it. Of Python's own
+5 ms each message and each pose that is published would wait several times, beside a worker that
+computes."""
 RETRY = 5.0
 """Seconds between two attempts to begin a map where the last one failed."""
 NO_MAP = 'there is no map: none could be begun; the log says why'

@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from incremental_mapper.geometry import pose_matrix, transform_points
+from incremental_mapper.map import voxel_grid
 from incremental_mapper.map.voxel_grid import VoxelGrid, mean_points
 from incremental_mapper.voxels import thin
 
@@ -39,6 +40,33 @@ def test_grid_that_grows_is_the_one_that_had_room(count, seed, pieces, room):
     marks = np.arange(count, dtype=np.int32)
     at_once, _ = mean_points([(points, np.eye(4), marks)], count, np.zeros(3), SIZE)
     assert grid.points().tobytes() == at_once.tobytes()
+
+
+def test_grid_that_grows_does_a_part_of_the_work_at_a_time(monkeypatch):
+    points = (np.arange(60_000, dtype=np.float32).reshape(-1, 3) * SIZE).astype(np.float32)
+    grid, moved = VoxelGrid(SIZE), []
+    enter = voxel_grid._enter
+    monkeypatch.setattr(
+        voxel_grid, '_enter', lambda some, *rest: (moved.append(len(some)), enter(some, *rest))
+    )
+    for piece in np.array_split(points, 200):
+        grid.add(piece, np.eye(4))
+    assert sum(moved) > len(points)
+    assert max(moved) <= voxel_grid.PARTS * len(piece)
+    assert len(grid) == len(points)
+
+
+def test_more_points_than_the_next_table_has_room_for():
+    points = scattered(40_000, 3, spread=400.0)
+    grid = VoxelGrid(SIZE, room=600)
+    for piece in (points[:500], points[500:620], points[620:]):
+        grid.add(piece, np.eye(4))
+    assert np.array_equal(np.sort(grid.points(), 0), np.sort(thin_all(points), 0))
+
+
+def thin_all(points):
+    marks = np.arange(len(points), dtype=np.int32)
+    return mean_points([(points, np.eye(4), marks)], len(points), np.zeros(3), SIZE)[0]
 
 
 def test_grid_that_grows_keeps_the_marks_of_first_points():

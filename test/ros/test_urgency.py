@@ -44,3 +44,13 @@ def test_another_process_that_is_gone_is_no_trouble():
     process = subprocess.Popen([sys.executable, '-c', ''], start_new_session=True)
     process.wait()
     make_way(5, process.pid)
+
+
+@pytest.mark.skipif(not hasattr(os, 'SCHED_IDLE'), reason='the system has no such policy')
+def test_who_gives_way_goes_on_when_nobody_else_does():
+    code = (
+        'import os\nfrom incremental_mapper.ros.urgency import give_way\ngive_way()\n'
+        'print(os.sched_getscheduler(0) == os.SCHED_IDLE)'
+    )
+    done = subprocess.run([sys.executable, '-c', code], check=True, capture_output=True, text=True)
+    assert done.stdout == 'True\n'
