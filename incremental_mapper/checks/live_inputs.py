@@ -273,3 +273,26 @@ def second_mapper(topic: str) -> Finding:
         'and a service is answered by either',
         'end one of them, or give each its own name or namespace (-r __node:=..., -r __ns:=...)',
     )
+
+
+def shared_frame(topic: str, edge: tuple[str, str], parent: str, both: bool) -> Finding:
+    """Another program tells where a frame is that this node tells of.
+
+    Args:
+        topic: Where it does.
+        edge: Its parent and child.
+        parent: The parent by this node.
+        both: Whether this node broadcasts odom to base, too.
+    """
+    other, child = edge
+    alone = 'tf.publish: map_to_odom where the robot has odometry of its own, or ' * both
+    return Finding(
+        'shared_frame',
+        Severity.WARNING,
+        child,
+        f'another program tells on {topic} where {shown_frame(child)} is in {shown_frame(other)}, '
+        f'and this node where it is in {shown_frame(parent)}: a frame has one parent, and whoever '
+        'asks gets the one and the other in turn',
+        f'set {alone}tf.publish: none; or give this node frames of its own, as each of several '
+        'robots needs (frames.map, frames.odom, frames.base)',
+    )

@@ -270,13 +270,18 @@ class MapperNode:
             given, config, self._worker.inbox.put, self._logger.info, waiting=open_places
         )
         moving = extrinsics.moving if open_places else None
-        if not listen_to_transforms(self.node, extrinsics.static, moving):
+        if not listen_to_transforms(self.node, self._on_static, moving):
             extrinsics.wait_no_more()
             if open_places:
                 self._logger.info(
                     'tf2_msgs is not installed: T_base_sensor comes from the parameters only'
                 )
         return extrinsics
+
+    def _on_static(self, message: Any) -> None:
+        self._extrinsics.static(message)
+        if self._outputs.transforms is not None:
+            self._outputs.transforms.shared.static(message)
 
     def _look_at_inputs(self) -> None:
         """Ask what is wrong with the inputs by now."""
@@ -287,6 +292,7 @@ class MapperNode:
         self._findings.of_part('transport', self._inputs.of_transport())
         self._findings.of_part('clocks', self._worker.clock_steps)
         self._findings.of_part('namesakes', self._namesakes.findings())
+        self._findings.of_part('frames', self._outputs.shared_frames())
 
     @property
     def _topic_keys(self) -> dict[str, str]:

@@ -17,6 +17,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
+from incremental_mapper.checks.finding import Finding
 from incremental_mapper.config import Config
 from incremental_mapper.mapping.following import PoseUpdate
 from incremental_mapper.mapping.live_map import GraphView, PathView
@@ -140,6 +141,13 @@ class Outputs:
         """Tell where the sensors are, T_base_sensor (4, 4) by frame_id."""
         if self.transforms is not None:
             self.transforms.sensors(self._node.get_clock().now().nanoseconds, places)
+
+    def shared_frames(self) -> tuple[Finding, ...]:
+        """Frames of this node that others tell of, too; to be asked once in a while."""
+        if self.transforms is None:
+            return ()
+        self.transforms.shared.look(self._node)
+        return self.transforms.shared.findings()
 
     def view(self, update: ViewUpdate) -> None:
         """Publish a view that was asked for."""

@@ -15,6 +15,7 @@ from incremental_mapper.datasets.static_transforms import MOVING_TOPIC, STATIC_T
 from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.ros.rclpy_types import MESSAGES
 from incremental_mapper.ros.robot_odometry import RobotOdometry
+from incremental_mapper.ros.shared_frames import SharedFrames
 
 Send: TypeAlias = Callable[[list[TransformStamped]], object]
 """Publishes transforms as one message."""
@@ -23,8 +24,8 @@ Send: TypeAlias = Callable[[list[TransformStamped]], object]
 class Transforms:
     """Tells where the car is, and where sensors are of which nobody else does.
 
-    ``robot`` is to be told the transforms of others where only map to odom is broadcast. All of
-    it runs in the executor's thread.
+    ``robot`` is to be told the transforms of others where only map to odom is broadcast, ``shared``
+    those of /tf_static. All of it runs in the executor's thread.
     """
 
     def __init__(
@@ -39,6 +40,7 @@ class Transforms:
             send_static: Takes what does not.
         """
         self.robot = RobotOdometry()
+        self.shared = SharedFrames(settings.publish, frames)
         self.unanswered = 0
         self._settings = settings
         self._frames = frames
@@ -63,6 +65,7 @@ class Transforms:
             return
         frames = self._frames
         base = transform_message(stamp, frames.odom, frames.base, T_odom_base)
+        self.shared.sent(frames.base, stamp)
         self._send([self._map_to_odom(stamp, T_map_base, T_odom_base), base])
 
     def look(self) -> None:
@@ -91,6 +94,7 @@ class Transforms:
     ) -> TransformStamped:
         T_map_odom = T_map_base.compose(T_odom_base.inverse())
         ahead = round(self._settings.ahead * NANOSECONDS)
+        self.shared.sent(self._frames.odom, stamp + ahead)
         return transform_message(stamp + ahead, self._frames.map, self._frames.odom, T_map_odom)
 
 

@@ -98,6 +98,7 @@ def test_the_node_broadcasts_its_frames_and_where_its_sensors_are(tf_message, st
     placed = {item.child_frame_id for item in session.received['tf_static'][-1].transforms}
     frames = {item.message().header.frame_id for item in messages}
     assert placed == frames - {'base_link', ''}
+    assert not any('shared_frame' in name for name in session.diagnostics()['checks'])
 
 
 def test_places_that_come_after_the_clouds_make_the_map_of_places_that_were_given(
@@ -138,6 +139,7 @@ def test_a_robot_with_odometry_of_its_own_gets_map_to_odom_that_fits_it(
         robot.publish(tf_message(transforms=[transform_message(stamp, 'odom', 'base_link', pose)]))
     session.play(messages)
     session.finish()
+    assert not any('shared_frame' in name for name in session.diagnostics()['checks'])
     own = {stamp_of(item): item for item in session.received['odometry']}
     sent = [
         item
@@ -152,3 +154,18 @@ def test_a_robot_with_odometry_of_its_own_gets_map_to_odom_that_fits_it(
         robots = gtsam.Pose3(gtsam.Rot3.Yaw(0.3), np.array([x, 5.0, 0.0]))
         told = pose_of(odometry.position, odometry.orientation)
         assert of_transform(item).compose(robots).equals(told, 1e-6)
+
+
+def test_a_robot_that_tells_of_the_same_frames_is_named(tf_message, start_node):
+    session = start_node()
+    robot = session.client.create_publisher(tf_message, '/tf', 100)
+    stamps = iter(range(10_000))
+
+    def said():
+        pose = gtsam.Pose3()
+        robot.publish(
+            tf_message(transforms=[transform_message(next(stamps), 'odom', 'base_link', pose)])
+        )
+        return 'shared_frame base_link' in session.diagnostics()['checks']
+
+    session.wait(said, 'the finding', 30.0)
