@@ -54,6 +54,7 @@ from lies import (  # noqa: F401
     leaps,
     mixtures,
     pulls,
+    rigs,
     sensors,
     surprises,
     sweeps,

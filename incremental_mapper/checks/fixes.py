@@ -29,6 +29,8 @@ SQRT2 = math.sqrt(2.0)
 DRIFTING = 1.5
 """So many times further off over twice the fixes, they drift."""
 
+DRAWN, FAR_DRAWN = 3, 0.5
+"""Fixes, and metres by which the worst is off, from which it is told."""
 FAR = 5_000.0
 """Metres from a fixed datum at which the vertical there and here differ by 0.8 mrad, which the IMU
 notices, and the earth has fallen 2 m below the plane."""
@@ -67,6 +69,36 @@ class DatumStep:
 
     stamp: int
     shift: tuple[float, float, float]
+
+
+@dataclass(slots=True)
+class Drawn:
+    """Fixes that the map contradicts, though each agrees with the one before.
+
+    Attributes:
+        looked_at: Fixes that were held against the map.
+        count: Those that were drawn away.
+        first: Stamp of the first of them, ns.
+        most: Metres by which the worst is off.
+        astray: Fixes that are off by more than ``OFF``, whatever became of them.
+    """
+
+    looked_at: int = 0
+    count: int = 0
+    first: int = 0
+    most: float = 0.0
+    astray: int = 0
+
+    def look(self, metres: float) -> None:
+        """Count a fix that is so many metres off."""
+        self.looked_at += 1
+        self.astray += metres > OFF
+
+    def add(self, stamp: int, metres: float) -> None:
+        """Count one that is drawn away by so many metres."""
+        self.count += 1
+        self.first = self.first or stamp
+        self.most = max(self.most, metres)
 
 
 _TEXTS = {
@@ -124,6 +156,35 @@ def _text(reason: str, one: Suspicion) -> str:
     if reason == 'datum_outlier' and one.most == 0.0:
         return _ABANDONED
     return _TEXTS[reason].format(most=_metres(one.most))
+
+
+def drawn_away(sensor: str, drawn: Drawn) -> tuple[Finding, ...]:
+    """Fixes that are drawn away from the map little by little.
+
+    Args:
+        sensor: Name of the receiver.
+        drawn: All of a drive so far.
+
+    Returns:
+        ``gnss_drift``, an error where most fixes are metres off: then nobody knows where the map
+        is; nothing where they are few and near.
+    """
+    if drawn.count < DRAWN or drawn.most < FAR_DRAWN:
+        return ()
+    severity = Severity.WARNING if drawn.count > MOST * drawn.looked_at else Severity.MENDED
+    if drawn.astray > MOST * drawn.looked_at:
+        severity = Severity.ERROR
+    return (
+        Finding(
+            'gnss_drift',
+            severity,
+            sensor,
+            f'{drawn.count} of {drawn.looked_at} fixes are drawn up to {_metres(drawn.most)} away '
+            f'from where those before them, matches and IMU put them, the first at {drawn.first}: '
+            'reflections between houses, or a reference that wanders',
+            'they are believed less; if the receiver is right, scan matching is wrong there',
+        ),
+    )
 
 
 def far_datum(sensor: str, farthest: float, first: int) -> tuple[Finding, ...]:

@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from incremental_mapper.checks.imu_pushed import Pushes
 from incremental_mapper.frontend.front_end import Prepared
 from incremental_mapper.frontend.imu_preintegration import ImuSeries
 from incremental_mapper.frontend.inertial_motion import rotations_after
@@ -48,11 +49,13 @@ class ImuPushes:
 
     Everything is in the axes that the IMU had at first, carried on by its gyroscope: gravity is
     a slope of the difference between the two velocities there, and the same one for seconds.
+    ``told`` counts what was doubted.
     """
 
     def __init__(self, T_base_imu: Array) -> None:
         """Make ready for an IMU at this pose (4, 4) in base_link."""
         self._turn, self._arm = T_base_imu[:3, :3], T_base_imu[:3, 3]
+        self.told = Pushes()
         self._slope: Array | None = None
         self._usual: deque[float] = deque(maxlen=USUAL)
         self._begin_anew(0)
@@ -91,8 +94,12 @@ class ImuPushes:
         self._learn(last, doubted is not None)
         if doubted is None:
             return series
-        since, push = doubted
+        since, gathered = doubted
+        push = COHERENT * gathered / GATHERING
         which = series.stamps >= self._origin + round(since * NANOSECONDS)
+        if which.any():
+            stamps = series.stamps[which]
+            self.told.add(int(stamps[0]), int(stamps[-1]), gathered)
         before = np.zeros(len(which)) if series.doubts is None else series.doubts
         return replace(series, doubts=np.where(which, np.maximum(before, push), before))
 
@@ -151,7 +158,7 @@ class ImuPushes:
         return 0.5 * (start + end), (turned - gathered) / (end - start)
 
     def _doubted(self, last: float) -> tuple[float, float] | None:
-        """Since which moment samples are doubted, and by how much, m/s^2; None where none are."""
+        """Since which moment samples are doubted, and m/s that they gathered; None: none are."""
         if self._slope is None:
             return None  # nothing is known yet
         before = self._mean(self._slope, last - GATHERING - BESIDE, last - GATHERING)
@@ -163,7 +170,7 @@ class ImuPushes:
         if gathered < max(GATHERED, UNUSUAL * usual):
             self._usual.append(gathered)
             return None
-        return last - GATHERING, COHERENT * gathered / GATHERING
+        return last - GATHERING, gathered
 
     def _mean(self, slope: Array, start: float, end: float) -> Array | None:
         """Mean of the rows in (start, end], without gravity; None where they are too few."""

@@ -25,6 +25,7 @@ from incremental_mapper.map.store import PointStore
 from incremental_mapper.mapping.base_count import BaseCount
 from incremental_mapper.mapping.commit import NOTHING, Committed, commit
 from incremental_mapper.mapping.failed_windows import FailedWindows
+from incremental_mapper.mapping.fix_pulls import FixPulls
 from incremental_mapper.mapping.georeferencing import georeference, without_fixes
 from incremental_mapper.mapping.imu_gate import ImuGate
 from incremental_mapper.mapping.imu_pushes import ImuPushes
@@ -40,7 +41,7 @@ from incremental_mapper.measurements import NANOSECONDS, Drops, ImuSample
 from incremental_mapper.selection.bridging import bridged
 from incremental_mapper.selection.choice import Choice
 from incremental_mapper.selection.strategies import Strategy
-from incremental_mapper.selection.window_problem import pose_problem
+from incremental_mapper.selection.window_problem import WindowProblem, pose_problem
 from incremental_mapper.selection.window_record import WindowRecord, record_window
 from incremental_mapper.smoothing.graph_state import GraphState, recent_scans
 
@@ -97,6 +98,8 @@ class IncrementalGraph:
         self._parameters = preintegration_parameters(config.preintegration, config.imu.matrix())
         self._series, self._gate = EMPTY_SERIES, ImuGate()
         self._pushes = ImuPushes(config.imu.matrix())
+        self._pulls = FixPulls(config.gnss.matrix()[:3, 3])
+        watch.pushes, watch.drawn = self._pushes.told, self._pulls.told
         self._around = EMPTY_SERIES  # samples before and behind the newest cluster
         self._orientation: NDArray[np.float64] | None = None
         self._standstill = Standstill()
@@ -128,6 +131,7 @@ class IncrementalGraph:
         turn = self._config.imu.matrix()[:3, :3]
         gated = self._gate.take(self._series.joined(window.imu), prepared, turn)
         self._series = self._pushes.take(gated.series, prepared)
+        self.totals.doubted_imu = self._pushes.told.seconds
         if len(gated.refused.stamps):
             self.drops[IMU, 'contradicted'] += len(gated.refused.stamps)
             self._watch.contradicted(gated.refused.stamps)
@@ -206,15 +210,10 @@ class IncrementalGraph:
             return self._close(frame, items, None)
         started = time.perf_counter()
         try:
-            problem = pose_problem(
-                items,
-                self.state,
-                self._series,
-                self._orientation,
-                self._parameters,
-                self._config,
-                frame.candidates,
-            )
+            problem = self._problem(items, frame)
+            judged = self._pulls.look(items, self.state, problem.inputs)
+            if judged is not None:
+                items, problem = judged, self._problem(judged, frame)
             frame.seconds['candidates'] = time.perf_counter() - started
             choice = self._strategy.select(problem)
         except MapperError:
@@ -244,6 +243,18 @@ class IncrementalGraph:
         self._grown()
         frame.seconds['append'] = time.perf_counter() - started
         return self._close(frame, items, choice, committed)
+
+    def _problem(self, items: Sequence[Prepared], frame: _Frame) -> WindowProblem:
+        """The window's problem; nothing is solved yet."""
+        return pose_problem(
+            items,
+            self.state,
+            self._series,
+            self._orientation,
+            self._parameters,
+            self._config,
+            frame.candidates,
+        )
 
     def _grown(self) -> None:
         """After G(t) took a window in."""

@@ -64,7 +64,7 @@ def join(
     if offset is None:
         offset = antenna - fixes[0].enu if fixes else np.zeros(3)
     spread = fix_spread(state, items)
-    known = _antenna_covariance(state, head, arm) if fixes else np.zeros((3, 3))
+    known = antenna_covariance(state, head, arm) if fixes else np.zeros((3, 3))
     made: list[Factor] = []
     placed: list[PlacedFix] = []
     for fix in fixes:
@@ -126,10 +126,16 @@ def _behind_holes(samples: NDArray[np.int64], start: int, end: int, longest: int
     return int(stamps[holes[-1] + 1]) if len(holes) else start
 
 
-def _antenna_covariance(
+def antenna_covariance(
     state: GraphState, cluster: int, arm: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Covariance (3, 3) of the antenna's position in the map, m^2."""
+    """Covariance (3, 3) of the antenna's position in the map, m^2.
+
+    Args:
+        state: G(t).
+        cluster: One of the frontier.
+        arm: The antenna in base_link (3,), metres.
+    """
     covariance = state.prior.covariance(pose_key(cluster))
     if covariance is None:
         return np.eye(3) * NO_VERTICAL_SIGMA**2

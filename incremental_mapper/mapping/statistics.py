@@ -43,6 +43,7 @@ class Totals:
     saved: int = 0
     standing_windows: int = 0
     joined: int = 0
+    doubted_imu: float = 0.0  # seconds
     scores: Counter[str] = field(default_factory=Counter)
     seconds: Counter[str] = field(default_factory=Counter)
     verifications: list[Verification] = field(default_factory=list)
@@ -135,7 +136,8 @@ class MapStatistics:
     ``candidates_tied`` counts those whose score could not be told from their window's lowest, that
     one included; ``vertices_saved_by_ties`` is what the smallest of them had less than that one.
     ``standing_windows`` are those whose ``joined_measurements`` added no variable;
-    ``weak_matches`` are those that the scans hold weakly in some direction.
+    ``weak_matches`` are those that the scans hold weakly in some direction; ``doubted_imu_s`` are
+    seconds of IMU samples that gather a speed which no match knows of.
     ``closures`` counts the pairs of local maps that were compared (``candidates``), the
     ``accepted`` ones, and the others by why they are no closures; empty where nothing was.
     ``verification`` is left out where nothing was verified.
@@ -171,6 +173,7 @@ class MapStatistics:
     bridges: int
     closures: dict[str, int]
     weak_matches: int
+    doubted_imu_s: float
     solver_failures: int
     failed_windows: int
     weak_priors: int
@@ -203,7 +206,7 @@ class MapStatistics:
         """
         names = {key: name for name, key in KEYS.items()}
         made = {names.get(key, key): value for key, value in tree.items()}
-        return cls(**{'verification': None, 'closures': {}, **made})
+        return cls(**{'verification': None, 'closures': {}, 'doubted_imu_s': 0.0, **made})
 
 
 def map_statistics(
@@ -273,6 +276,7 @@ def map_statistics(
         bridges=totals.bridges,
         closures={},
         weak_matches=sum(count for text, count in notes.items() if text.endswith(WEAK)),
+        doubted_imu_s=totals.doubted_imu,
         solver_failures=totals.solver_failures,
         failed_windows=totals.failed_windows,
         weak_priors=kinds[str(FactorKind.PRIOR_POSE)] - 1 if state.factors else 0,

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from incremental_mapper.checks.finding import Finding, Severity, ranked
+from incremental_mapper.checks.fixes import Drawn, drawn_away
+from incremental_mapper.checks.imu_pushed import Pushes, pushed_findings
 from incremental_mapper.config import Config, Tree
 from incremental_mapper.frontend.fix_gate import FixGate
 from incremental_mapper.frontend.front_end import Prepared
@@ -47,7 +49,8 @@ class Watch:
     """Gathers the evidence of one map; rules are asked when there is enough of it.
 
     Everything here is called for every measurement or window of a drive: it may cost next to
-    nothing. Evidence of one kind is gathered in a class of its own, beside this one.
+    nothing. Evidence of one kind is gathered in a class of its own, beside this one. ``pushes`` and
+    ``drawn`` are counted where samples and fixes are believed less.
     """
 
     def __init__(self, config: Config) -> None:
@@ -58,6 +61,8 @@ class Watch:
         self._imu = ImuWatch(config)
         self._mounts = MountWatch(config)
         self._gate: FixGate | None = None
+        self.pushes = Pushes()
+        self.drawn = Drawn()
         self._presence = PresenceWatch()
         self._beat = BeatWatch()
         self._ranges = RangeWatch(config)
@@ -146,6 +151,7 @@ class Watch:
         """What was found so far, the worst first; its cost does not grow with the drive."""
         more = [
             *self._asked(self._of_fixes),
+            *self._asked(self._of_imu),
             *self.fit.found,
             *self._asked(self._presence.so_far),
         ]
@@ -153,7 +159,8 @@ class Watch:
 
     def lasting(self) -> tuple[Finding, ...]:
         """``findings`` without those of the fit, which a whole map is judged for anew."""
-        more = [*self._asked(self._of_fixes), *self._asked(self._presence.so_far)]
+        judges = (self._of_fixes, self._of_imu, self._presence.so_far)
+        more = [finding for judge in judges for finding in self._asked(judge)]
         return ranked([*self._findings, *more])
 
     def mended(self) -> tuple[Finding, ...]:
@@ -166,7 +173,7 @@ class Watch:
         Args:
             judges: What judges the map, in place of what was found while the map grew.
         """
-        asked = (self._of_fixes, *judges, self._presence.findings)
+        asked = (self._of_fixes, self._of_imu, *judges, self._presence.findings)
         more = [finding for judge in asked for finding in self._asked(judge)]
         return ranked([*self._findings, *more])
 
@@ -180,4 +187,9 @@ class Watch:
             return ()
 
     def _of_fixes(self) -> tuple[Finding, ...]:
-        return () if self._gate is None else self._gate.findings()
+        if self._gate is None:
+            return ()
+        return (*self._gate.findings(), *drawn_away(self._gate.sensor, self.drawn))
+
+    def _of_imu(self) -> tuple[Finding, ...]:
+        return pushed_findings(self.pushes)

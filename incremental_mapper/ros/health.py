@@ -37,6 +37,7 @@ MAPPER_KEYS = (
     'components',
     'bridges',
     'weak_matches',
+    'doubted_imu_s',
     'georeferenced',
     'failed_windows',
 )

@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 
 from incremental_mapper.candidates.model import CoreKind, CoreMeasurement
+from incremental_mapper.checks.finding import Severity
+from incremental_mapper.checks.imu_pushed import Pushes, pushed_findings
 from incremental_mapper.config import ImuSettings
 from incremental_mapper.frontend.imu_preintegration import (
     ImuSeries,
@@ -47,9 +49,9 @@ def match(number, covariance=None):
     return PreparedScan(core, empty.astype(np.float32), empty, stamps[0], motion, True, covariance)
 
 
-def doubted(series, T_base_imu=None, covariance=None):
+def doubted(series, T_base_imu=None, covariance=None, pushes=None):
     """Seconds of the samples that are doubted, window by window, as spans would use them up."""
-    pushes = ImuPushes(np.eye(4) if T_base_imu is None else T_base_imu)
+    pushes = pushes or ImuPushes(np.eye(4) if T_base_imu is None else T_base_imu)
     found = []
     for number in range(1, len(series.stamps) // 10):
         window = series.part(10 * number - 10, 10 * number + 1)
@@ -104,3 +106,29 @@ def test_a_span_of_doubted_samples_is_believed_less():
     sigmas = [np.sqrt(span.preintMeasCov()[6, 6]) for span in spans]
     assert sigmas[1] == pytest.approx(1.5, rel=0.1)  # 15 m/s^2 over 0.1 s
     assert sigmas[0] < 0.1
+
+
+def test_a_push_is_counted_and_told():
+    pushes = ImuPushes(np.eye(4))
+    found = np.unique(doubted(samples([3.0, 0.0, 0.0], 5.0, 6.5), pushes=pushes))
+    told = pushes.told
+    assert told.count == 1 and told.most == pytest.approx(1.7, abs=0.1)
+    assert told.seconds == pytest.approx(np.ptp(found), abs=0.02)
+    assert (told.stamp - EPOCH) / 1e9 == pytest.approx(found.min(), abs=0.01)
+    (finding,) = pushed_findings(told)
+    assert (finding.rule, finding.severity) == ('imu_pushed', Severity.MENDED)
+    assert f'for {told.seconds:.1f} s it gathers' in finding.text
+    assert str(told.stamp) in finding.text
+
+
+def test_spells_that_meet_are_one_and_slight_ones_are_not_told():
+    pushes = Pushes()
+    pushes.add(1_000 * MS, 1_500 * MS, 0.7)
+    pushes.add(1_100 * MS, 1_600 * MS, 0.8)
+    pushes.add(5_000 * MS, 5_500 * MS, 0.75)
+    assert (pushes.count, pushes.stamp) == (2, 1_000 * MS)
+    assert pushes.seconds == pytest.approx(1.1)
+    assert pushed_findings(pushes) == () == pushed_findings(Pushes())
+    pushes.add(5_300 * MS, 5_900 * MS, 1.5)
+    assert pushes.stamp == 5_000 * MS
+    assert '2 times' in pushed_findings(pushes)[0].text

@@ -1,0 +1,84 @@
+"""Fixes that are drawn away from the map little by little are believed less, and no others."""
+
+from dataclasses import replace
+
+import numpy as np
+import pymap3d
+import pytest
+from test_georeferencing import ARM, DATUM, EPOCH, SECOND, drive, mapped, truth
+
+from incremental_mapper.checks.finding import Severity
+from incremental_mapper.checks.fixes import Drawn, drawn_away
+from incremental_mapper.mapping.fix_pulls import FixPulls
+from incremental_mapper.measurements import GnssFix
+
+SIGMA = 0.05
+COVARIANCE = np.eye(3) * SIGMA**2
+
+
+def judged(offs, noise=0.1, grows=0.03):
+    """What is added to the deviation of fixes of 1 Hz, where a doubted one leaves the map alone."""
+    pulls, given, known = FixPulls(np.zeros(3)), [], noise
+    for number, off in enumerate(offs):
+        apart = np.asarray(off, dtype=float)
+        given.append(pulls.doubt(EPOCH + number * SECOND, apart, known, COVARIANCE))
+        known = known + grows if given[-1] else noise
+    return given, pulls.told
+
+
+def pulled(seconds, begin, length, metres):
+    share = (seconds - begin) / length
+    return metres * np.sin(np.pi * share) if 0.0 < share < 1.0 else 0.0
+
+
+def test_a_pull_that_comes_and_goes_is_doubted_to_its_end():
+    east = [pulled(second, 5.0, 10.0, 4.0) for second in range(20)]
+    given, told = judged([(off, 0.0) for off in east])
+    for off, doubt in zip(east, given, strict=True):
+        assert doubt >= off if off > 0.3 else doubt == 0.0
+    assert min(given[7:14]) > 6.0  # three times as far as they are off
+    assert (told.looked_at, told.first) == (20, EPOCH + 6 * SECOND)
+    assert told.most == pytest.approx(4.0) and told.count >= 7
+    (finding,) = drawn_away('gnss', told)
+    assert (finding.rule, finding.severity) == ('gnss_drift', Severity.MENDED)
+
+
+def test_fixes_that_stay_apart_are_believed_after_ten_seconds():
+    given, _ = judged([(3.0 * (second > 4), 0.0) for second in range(40)], grows=0.0)
+    assert all(given[5:15]) and not any(given[:5]) and not any(given[17:])
+
+
+def test_a_reference_that_wanders_on_is_never_believed_again():
+    given, told = judged([(0.2 * max(second - 4, 0), 0.0) for second in range(60)], grows=0.0)
+    assert all(given[8:])
+    assert [one.severity for one in drawn_away('gnss', told)] == [Severity.ERROR]
+
+
+def test_single_fixes_and_small_ones_are_not_told():
+    _, told = judged([(2.0 * (second in (8, 20)), 0.0) for second in range(30)])
+    assert told.count == 2 and drawn_away('gnss', told) == () == drawn_away('gnss', Drawn())
+
+
+def test_a_map_that_knows_little_of_its_place_believes_the_fix():
+    given, told = judged([(4.0, 3.0)], noise=4.0)
+    assert given == [0.0] and told.count == 0
+
+
+def test_a_map_is_not_bent_by_fixes_that_are_drawn_aside():
+    heading = 1.2
+
+    def aside(item):
+        if not isinstance(item, GnssFix):
+            return item
+        seconds = (item.stamp - EPOCH) / SECOND
+        antenna = truth(seconds, heading).transformFrom(ARM)
+        antenna = antenna + [pulled(seconds, 3.0, 4.5, 2.5), 0.0, 0.0]
+        latitude, longitude, altitude = map(float, pymap3d.enu2geodetic(*antenna, *DATUM))
+        return replace(item, latitude=latitude, longitude=longitude, altitude=altitude)
+
+    result = mapped(heading, measurements=[aside(item) for item in drive(heading, seconds=9.0)])
+    moments = (result.trajectory.stamps - EPOCH) / SECOND
+    true = np.array([truth(moment, heading).translation() for moment in moments])
+    off = (result.trajectory.positions - true)[:, :2]
+    assert np.linalg.norm(off - off[0], axis=1).max() < 0.1  # 1.2 m where all are believed
+    assert 'gnss_drift' in {finding.rule for finding in result.findings}
