@@ -39,7 +39,8 @@ SMALLEST_DRIFT = 0.05
 """Seconds that a clock drifts away from the others until it is told: what a car of 20 m/s moves in
 it is a metre. Latencies vary by less; so it takes 500 s of an unsynchronised clock of 100 ppm."""
 _MOST_DRIFT = 1e-3
-"""Seconds a second; no clock of quartz is that bad."""
+"""Seconds a second; no clock of quartz is that bad. Messages that come later and later, from a
+queue that fills, look like a clock that is slower than that; nothing but a clock looks faster."""
 _SPREAD = 0.5
 """Seconds; a lag that varies more is no constant difference of two clocks."""
 _STEADY = 0.25
@@ -79,14 +80,18 @@ class _Lag:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Group:
-    """Sensors on one clock, and the smallest lag among them (ns)."""
+    """Sensors on one clock, the smallest lag among them (ns), and their newest stamp.
+
+    Without a sensor it is the recorder.
+    """
 
     lags: tuple[_Lag, ...]
     lag: int
+    newest: int
 
     @property
     def names(self) -> list[str]:
-        return [lag.clock.sensor for lag in self.lags]
+        return [lag.clock.sensor for lag in self.lags] or ['the recorder']
 
 
 def clock_findings(clocks: Sequence[SensorClock], by_spans: bool = True) -> tuple[Finding, ...]:
@@ -110,7 +115,7 @@ def clock_findings(clocks: Sequence[SensorClock], by_spans: bool = True) -> tupl
     found = list(steps)
     if len(steady) > 1:
         groups, relative = _grouped(steady)
-        reference = _reference(groups, steady)
+        reference = _reference(groups, steady, relative)
         for group in groups:
             if group is not reference:
                 found += _offsets(group, reference, relative)
@@ -172,9 +177,12 @@ def _grouped(lags: Sequence[_Lag]) -> tuple[list[_Group], bool]:
             groups.append([lag])
         else:
             home.append(lag)
-    return [
-        _Group(tuple(group), min(middles[lag.clock.sensor] for lag in group)) for group in groups
-    ], relative
+    made = [_group(group, min(middles[lag.clock.sensor] for lag in group)) for group in groups]
+    return made, relative
+
+
+def _group(lags: Sequence[_Lag], lag: int) -> _Group:
+    return _Group(tuple(lags), lag, max(one.clock.last for one in lags))
 
 
 def _one_clock(group: Sequence[_Lag], lag: _Lag, middles: dict[str, int], place: int) -> bool:
@@ -199,11 +207,12 @@ def _against(lag: _Lag, anchor: _Lag) -> int:
     return int(np.median((lag.lags - base).astype(float) - at))
 
 
-def _reference(groups: Sequence[_Group], lags: Sequence[_Lag]) -> _Group:
+def _reference(groups: Sequence[_Group], lags: Sequence[_Lag], relative: bool) -> _Group:
     """The clock that is right, with all groups that differ from it by latency only.
 
     The one that the record times agree with; else what most sensors have; then one that tells a
-    date, that the receiver has, and that is behind: TAI and GPS time are ahead of UTC.
+    date, that the receiver has, and that is behind: TAI and GPS time are ahead of UTC. Where each
+    sensor has its own, and one is in a time scale that the record times know, these are right.
     """
 
     def rank(group: _Group) -> tuple[bool, int, bool, bool, int]:
@@ -219,10 +228,20 @@ def _reference(groups: Sequence[_Group], lags: Sequence[_Lag]) -> _Group:
         )
 
     best = max(groups, key=rank)
-    return _Group(
-        tuple(lag for group in groups if _close(group, best) for lag in group.lags),
+    recorder = _Group((), 0, max(int(lag.times[-1]) for lag in lags))
+    agrees, shared, *_ = rank(best)
+    alone = not (agrees or relative) and shared == 1
+    if alone and any(_known(group, recorder) for group in groups):
+        return recorder
+    return _group(
+        [lag for group in groups if _close(group, best) for lag in group.lags],
         min(group.lag for group in groups if _close(group, best)),
     )
+
+
+def _known(group: _Group, recorder: _Group) -> bool:
+    """Whether a group has a time scale that differs from the recorder's as two scales do."""
+    return known_offset(-group.lag / NANOSECONDS, recorder.newest, SCALE_TOLERANCE) is not None
 
 
 def _close(one: _Group, other: _Group) -> bool:
@@ -235,7 +254,7 @@ def _offsets(group: _Group, reference: _Group, relative: bool) -> list[Finding]:
         return []
     ahead = reference.lag - group.lag
     seconds = ahead / NANOSECONDS
-    utc = max(lag.clock.last for lag in reference.lags)
+    utc = reference.newest
     young = max(lag.clock.last for lag in group.lags) < _YOUNG
     spread = max(float(np.ptp(lag.lags)) for lag in group.lags) / NANOSECONDS
     steady = not -BACKLOG < seconds < 0.0 and (relative or spread < _SPREAD)
@@ -342,7 +361,7 @@ def _step(lag: _Lag) -> tuple[int, int, int] | None:
 
 def _drifts(reference: _Group) -> list[Finding]:
     """Sensors whose clock runs faster or slower than the record times, where others' do not."""
-    if any(abs(lag.pace - 1.0) > _PACE for lag in reference.lags):
+    if not reference.lags or any(abs(lag.pace - 1.0) > _PACE for lag in reference.lags):
         return []
     drifts = {lag.clock.sensor: _drift(lag) for lag in reference.lags}
     ordered = sorted(drifts.values(), key=abs)
@@ -377,7 +396,7 @@ def _drift(lag: _Lag) -> float:
     slope, start = np.polyfit(times, values, 1)
     noise = float(np.std(values - (slope * times + start)))
     grown = float(slope * times[-1])
-    sure = abs(grown) > 10.0 * noise and abs(slope) < _MOST_DRIFT
+    sure = abs(grown) > 10.0 * noise and -_PACE < slope < _MOST_DRIFT
     return grown if sure else 0.0
 
 

@@ -27,6 +27,8 @@ least (root mean square) where something is wrong. Simulated drives with bends a
 _CAUSES = {
     'optimistic_covariance': {'exchanged_degrees', 'lost_sign', 'gnss_clock', 'point_unit'},
     'imu_noise': {'imu_in_deg', 'imu_rate_unit', 'imu_rate_scale'},
+    'imu_in_deg': {'imu_disagrees'},
+    'imu_rate_unit': {'imu_disagrees'},
 }
 """Rules, and those whose finding explains what they found before."""
 BETTER = 0.2

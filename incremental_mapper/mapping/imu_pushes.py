@@ -40,8 +40,9 @@ COHERENT = 5.0
 """So many times the push is doubted: spans take their noise for new at each, and it stays."""
 PATIENCE = 3.0
 """Seconds of a push after which gravity is learned anew: what stays so long is a new bias."""
-HOLE = 0.25
-"""Seconds without samples behind which all begins anew."""
+HOLE = 0.06
+"""Seconds without samples behind which all begins anew: what an IMU of 10 Hz and less gathers in
+between is not known well enough to accuse it."""
 
 
 class ImuPushes:

@@ -232,6 +232,23 @@ def test_a_clock_that_drifts():
     assert '+100 ppm' in finding.text or '+99 ppm' in finding.text or '+101 ppm' in finding.text
 
 
+def test_where_each_sensor_has_a_clock_of_its_own_the_recorder_is_right():
+    each = {'left': 37.0, 'right': 1e6 - START / NS, 'imu': 3600.0, 'gnss': 18.0}
+    found = offsets_of(clock_findings(clocks(each)))
+    assert (found['left'], found['imu'], found['gnss']) == (-37.0, -3600.0, -18.0)
+    assert found['right'] == pytest.approx(-each['right'], abs=0.2)  # but for its latency
+    assert 'those of the recorder' in clock_findings(clocks(each))[0].text
+    # It counts from power-up itself: then the receiver is believed.
+    found = offsets_of(clock_findings(clocks(each, recorder=1e5 - START / NS)))
+    assert (found['left'], found['imu']) == (-19.0, -3582.0) and 'gnss' not in found
+
+
+def test_a_clock_that_runs_a_per_cent_fast_is_told_and_one_that_seems_slow_may_be_a_queue():
+    (finding,) = clock_findings(clocks({'imu': lambda times: 0.01 * times}))
+    assert (finding.rule, finding.sensor) == ('clock_drift', 'imu')
+    assert clock_findings(clocks({'imu': lambda times: -0.01 * times})) == ()
+
+
 def test_a_recorder_that_drifts_accuses_nobody():
     made = [
         SensorClock(c.sensor, c.stamps, c.received + (c.stamps - START) // 5000)

@@ -92,6 +92,15 @@ def test_matches_that_hold_weakly_say_nothing_against_the_imu():
     assert len(doubted(samples([3.0, 0.0, 0.0], 5.0, 6.5), covariance=weak)) == 0
 
 
+def test_a_slow_imu_is_accused_of_nothing():
+    series = samples([3.0, 0.0, 0.0], 5.0, 6.5)
+    slow = series.chosen(np.arange(len(series.stamps)) % 10 == 0)
+    pushes = ImuPushes(np.eye(4))
+    for number in range(1, 80):
+        pushes.take(slow.part(number - 1, number + 2), [match(number)])
+    assert pushes.told.count == 0
+
+
 def test_a_span_of_doubted_samples_is_believed_less():
     settings = ImuSettings()
     parameters = preintegration_parameters(settings, np.eye(4))
