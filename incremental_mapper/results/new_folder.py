@@ -1,5 +1,9 @@
 """Folders that appear when they are complete, and never over anything."""
 
+import contextlib
+import errno
+import fcntl
+import glob
 import os
 import shutil
 import tempfile
@@ -7,7 +11,11 @@ from collections.abc import Callable
 from itertools import count
 from pathlib import Path
 
-from incremental_mapper.errors import OutputError
+from incremental_mapper.errors import ConfigError, OutputError
+from incremental_mapper.results.file_names import is_of_run
+
+RANDOM = 8
+"""Characters that tempfile adds to a name."""
 
 
 def write_folder(target: Path, write: Callable[[Path], object]) -> Path:
@@ -23,37 +31,93 @@ def write_folder(target: Path, write: Callable[[Path], object]) -> Path:
     Raises:
         OutputError: It cannot be written; nothing is left of it.
     """
-    scratch: Path | None = None
+    scratch: HiddenFolder | None = None
     try:
-        scratch = hidden_folder(target)
-        write(scratch)
-        sync_folder(scratch)
-        place = free_name(target)
-        scratch.rename(place)
+        scratch = HiddenFolder(target)
+        write(scratch.path)
+        sync_folder(scratch.path)
+        return scratch.appear(target)
     except OSError as error:
         raise OutputError(f'{target}: cannot be written ({error.strerror or error})') from error
     except OutputError as error:
-        raise OutputError(str(error).replace(str(scratch), str(target))) from error
+        hidden = '' if scratch is None else str(scratch.path)
+        raise OutputError(str(error).replace(hidden, str(target))) from error
     finally:
         if scratch is not None:
-            shutil.rmtree(scratch, ignore_errors=True)
-    return place
+            scratch.drop()
 
 
-def hidden_folder(target: Path) -> Path:
-    """Make an empty hidden folder beside a path, to be given that name when it is complete.
+class HiddenFolder:
+    """An empty hidden folder beside a path, to be given that name when it is complete.
 
-    Args:
-        target: The path; the folders above it are made.
-
-    Raises:
-        OSError: It cannot be made.
+    It is locked as long as somebody writes into it: what a program leaves that was killed, or
+    whose power went, is as large as a map, hidden, and would stay for ever. The next one for the
+    same path removes it.
     """
-    target.parent.mkdir(parents=True, exist_ok=True)
-    scratch = Path(tempfile.mkdtemp(prefix=f'.{target.name}.', dir=target.parent))
-    # mkdtemp makes folders that only their owner can read.
-    scratch.chmod(0o755)
-    return scratch
+
+    def __init__(self, target: Path) -> None:
+        """Make it.
+
+        Args:
+            target: The path; the folders above it are made.
+
+        Raises:
+            OSError: It cannot be made.
+        """
+        target.parent.mkdir(parents=True, exist_ok=True)
+        prefix = f'.{target.name}.'
+        for left in target.parent.glob(f'{glob.escape(prefix)}{"[a-z0-9_]" * RANDOM}'):
+            _remove_left(left)
+        self.path = Path(tempfile.mkdtemp(prefix=prefix, dir=target.parent))
+        self._claim = os.open(self.path, os.O_RDONLY)
+        with contextlib.suppress(OSError):  # a file system without locks
+            fcntl.flock(self._claim, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        # mkdtemp makes folders that only their owner can read.
+        self.path.chmod(0o755)
+
+    def appear(self, target: Path) -> Path:
+        """Give it a name, or one with a number where that is taken.
+
+        Args:
+            target: The path.
+
+        Returns:
+            Where it is now.
+
+        Raises:
+            OSError: It cannot be moved.
+        """
+        while True:
+            place = free_name(target)
+            try:
+                self.path.rename(place)
+            except OSError as error:
+                # Somebody else took the name meanwhile.
+                if error.errno not in (errno.EEXIST, errno.ENOTEMPTY):
+                    raise
+            else:
+                return place
+
+    def drop(self) -> None:
+        """Remove it, unless it has its name."""
+        shutil.rmtree(self.path, ignore_errors=True)
+        os.close(self._claim)
+
+
+def _remove_left(folder: Path) -> None:
+    """Remove a hidden folder that nobody writes into any more, if all in it is ours."""
+    try:
+        claim = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    except OSError:
+        return
+    try:
+        fcntl.flock(claim, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if all(is_of_run(path.name) for path in folder.iterdir()):
+            shutil.rmtree(folder, ignore_errors=True)
+    except (OSError, ConfigError):
+        return  # it is being written, or nobody can tell
+    finally:
+        os.close(claim)
 
 
 def sync_folder(folder: Path) -> None:

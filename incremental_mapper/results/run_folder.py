@@ -34,6 +34,7 @@ from incremental_mapper.results.candidate_table import FILE_NAME
 from incremental_mapper.results.file_names import (
     DATA,
     EXTRA_FILES,
+    FAILED_WINDOWS,
     FILES,
     GRAPH,
     GRAPH_G2O,
@@ -41,6 +42,7 @@ from incremental_mapper.results.file_names import (
     STATISTICS,
     TRAJECTORY,
     WINDOWS,
+    is_partial,
 )
 from incremental_mapper.results.finished_run import FinishedRun
 from incremental_mapper.results.graph_json import graph_tree
@@ -49,7 +51,6 @@ from incremental_mapper.results.manifest import Manifest
 from incremental_mapper.results.messages.output_bag import remove_bag
 from incremental_mapper.results.sessions.session_file import FILE as SESSION
 from incremental_mapper.results.sessions.session_file import write_session
-from incremental_mapper.selection.window_record import FILE as WINDOW_FILE
 from incremental_mapper.trajectory import Trajectory, write_tum
 from incremental_mapper.variables import cluster_of, pose_key
 from incremental_mapper.visualization.run_pictures import draw_run
@@ -100,16 +101,18 @@ def prepared_folder(folder: Path, force: bool) -> Iterator[None]:
 
 def _empty(folder: Path, force: bool) -> None:
     try:
-        if not force and any(folder.iterdir()):
+        left = [path for path in folder.iterdir() if is_partial(path.name)]
+        if not force and len(left) < len(list(folder.iterdir())):
             raise OutputError(f'{folder}: is not empty; name another folder or add --force')
+        for path in left:
+            path.unlink()
         # Names that others use as well go only where a run has been.
         if (folder / STATISTICS).is_file() and (folder / GRAPH).is_file():
             exported = [form.file_name for form in formats().values()]
             for name in dict.fromkeys((*FILES, *EXTRA_FILES, *exported)):
                 (folder / name).unlink(missing_ok=True)
-                (folder / f'.{name}.partial').unlink(missing_ok=True)
             remove_bag(folder)
-            for path in folder.glob(WINDOW_FILE.format('[0-9]*')):
+            for path in folder.glob(FAILED_WINDOWS):
                 path.unlink()
     except OSError as error:
         raise OutputError(f'{folder}: cannot be made ({error.strerror})') from error

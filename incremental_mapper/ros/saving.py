@@ -4,7 +4,6 @@ Data only. Pictures and ``candidates.parquet`` take longer and can be made after
 """
 
 import math
-import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,7 +18,7 @@ from incremental_mapper.results.candidate_table import FILE_NAME, candidate_reco
 from incremental_mapper.results.file_names import GRAPH, STATISTICS, TRAJECTORY
 from incremental_mapper.results.finished_run import FinishedRun
 from incremental_mapper.results.journal.journal_writer import Journal
-from incremental_mapper.results.new_folder import free_name, hidden_folder, sync_folder
+from incremental_mapper.results.new_folder import HiddenFolder, sync_folder
 from incremental_mapper.results.run_folder import write_result
 from incremental_mapper.results.run_statistics import InputFacts, RunStatistics
 from incremental_mapper.results.sessions.going_on import EarlierMap, whole
@@ -87,7 +86,7 @@ class _Attempt:
     """A hidden folder beside the place that it is meant for, and why it is not complete."""
 
     target: Path
-    scratch: Path | None
+    scratch: HiddenFolder | None
     trouble: str = ''
 
     @property
@@ -95,13 +94,13 @@ class _Attempt:
         """Whether it holds trajectory and graph."""
         scratch = self.scratch
         return scratch is not None and all(
-            (scratch / name).exists() for name in (TRAJECTORY, GRAPH)
+            (scratch.path / name).exists() for name in (TRAJECTORY, GRAPH)
         )
 
     def drop(self) -> None:
         """Leave nothing of it."""
         if self.scratch is not None:
-            shutil.rmtree(self.scratch, ignore_errors=True)
+            self.scratch.drop()
 
 
 def save_map(target: Target, snapshot: Snapshot) -> Saved:
@@ -198,16 +197,17 @@ def _put(folder: Path, target: Target, write: Callable[[Path], None]) -> tuple[P
 
 def _attempt(target: Path, write: Callable[[Path], None]) -> _Attempt:
     """Write into a hidden folder beside ``target``."""
-    scratch: Path | None = None
+    scratch: HiddenFolder | None = None
     try:
-        scratch = hidden_folder(target)
-        write(scratch)
-        sync_folder(scratch)
+        scratch = HiddenFolder(target)
+        write(scratch.path)
+        sync_folder(scratch.path)
     except OSError as error:
         reason = error.strerror or str(error)
         return _Attempt(target, scratch, f'{target}: cannot be written ({reason})')
     except OutputError as error:
-        return _Attempt(target, scratch, str(error).replace(str(scratch), str(target)))
+        hidden = '' if scratch is None else str(scratch.path)
+        return _Attempt(target, scratch, str(error).replace(hidden, str(target)))
     except BaseException:
         _Attempt(target, scratch).drop()
         raise
@@ -217,6 +217,4 @@ def _attempt(target: Path, write: Callable[[Path], None]) -> _Attempt:
 def _stand(attempt: _Attempt) -> Path:
     """Give an attempt its name, or one that is free."""
     assert attempt.scratch is not None
-    place = free_name(attempt.target)
-    attempt.scratch.rename(place)
-    return place
+    return attempt.scratch.appear(attempt.target)
