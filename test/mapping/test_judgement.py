@@ -11,11 +11,17 @@ import pytest
 
 from incremental_mapper.candidates.model import Cluster, CoreKind, CoreMeasurement
 from incremental_mapper.checks.finding import Severity
-from incremental_mapper.config import Config
+from incremental_mapper.config import Config, ImuSettings
+from incremental_mapper.frontend.imu_preintegration import (
+    ImuSeries,
+    integrate,
+    preintegration_parameters,
+)
 from incremental_mapper.graph.factors import (
     FactorKind,
     between_factor,
     gnss_factor,
+    imu_factor,
     pose_sigmas,
 )
 from incremental_mapper.graph.frontier import Frontier
@@ -29,7 +35,7 @@ from incremental_mapper.smoothing.graph_state import (
     PlacedFix,
     PlacedScan,
 )
-from incremental_mapper.variables import pose_key
+from incremental_mapper.variables import bias_key, pose_key, velocity_key
 
 S = 1_000_000_000
 STEP = 0.5
@@ -82,6 +88,34 @@ def rules(state):
 def test_a_sound_map_has_no_finding():
     assert rules(straight(120)) == {}
     assert rules(GraphState()) == {}
+
+
+def with_spans(apart, unit):
+    """Spans of an IMU whose poses lie ``apart`` metres too far from each other, and too near."""
+    state, settings = straight(120), ImuSettings(accelerometer_noise=0.003)
+    parameters = preintegration_parameters(settings, np.eye(4))
+    none, still = gtsam.imuBias.ConstantBias(), np.zeros((10, 3))
+    forces = np.tile([0.0, 0.0, settings.gravity * unit], (10, 1))
+    for index in range(120):
+        place = np.array([index * STEP, 0.0, apart * (index % 2)])
+        state.values.update(pose_key(index), gtsam.Pose3(gtsam.Rot3(), place))
+        state.values.insert(velocity_key(index), np.array([10.0 * STEP, 0.0, 0.0]))
+        state.values.insert(bias_key(index), none)
+    for index in range(1, 120):
+        start, end = (index - 1) * S // 10, index * S // 10
+        stamps = np.arange(start, end, S // 100) + S // 200
+        samples = ImuSeries(stamps, still, forces)
+        span = integrate(samples, start, end, parameters, none, constant_bias=True)
+        factor = imu_factor(index - 1, index, span, 'imu', (start, end), stamps)
+        state.factors.append(factor)
+    return state
+
+
+def test_estimates_that_were_told_one_after_the_other_are_millimetres_apart():
+    assert rules(with_spans(0.0, 1.0)) == {}
+    assert 'imu_misfit' not in rules(with_spans(0.006, 1.0))
+    assert 'imu_misfit' in rules(with_spans(0.0, 1.1))
+    assert 'imu_misfit' in rules(with_spans(0.3, 1.0))
 
 
 def test_a_robust_loss_does_not_hide_what_fixes_say():
