@@ -99,6 +99,7 @@ class Reception:
         self._lost = 0
         self._publishers: tuple[tuple[str, ReliabilityPolicy], ...] = ()
         self._heard = time.monotonic()  # or when nobody published yet
+        self._hearing = False  # something has come since those who publish are known
         settled = f'qos_overrides.{self.topic}.subscription.reliability'
         self._override = settled if node.has_parameter(settled) else ''
         self._due: frozenset[ReliabilityPolicy] = frozenset()
@@ -132,7 +133,7 @@ class Reception:
             if not (self._overlapping or self._seen) or self._is_new(about)
         ]
         if taken:
-            self._heard = time.monotonic()
+            self._heard, self._hearing = time.monotonic(), bool(self._publishers)
         numbered = [item.about for item in taken] if self._overlapping else [it for _, it in found]
         for about in numbered:
             self._count_gap(about.get('publication_sequence_number') or 0)
@@ -142,13 +143,18 @@ class Reception:
         """See who publishes, and bring the subscriptions in line with that."""
         # Those of another type never match.
         wanted = f'{self._kind.__module__.split(".")[0]}/msg/{self._kind.__name__}'
+        before = self._publishers
         self._publishers = tuple(
-            (info.node_name, info.qos_profile.reliability)
-            for info in self._node.get_publishers_info_by_topic(self._given_topic)
-            if info.topic_type == wanted
+            sorted(
+                (info.node_name, info.qos_profile.reliability)
+                for info in self._node.get_publishers_info_by_topic(self._given_topic)
+                if info.topic_type == wanted
+            )
         )
         if not self._publishers:
             self._heard = time.monotonic()
+        if self._publishers != before:
+            self._hearing = False
         self._make_due()
         passed = time.monotonic() - self._since
         if not self._overlapping:
@@ -201,8 +207,10 @@ class Reception:
         elif losses.transport:
             cause = messages_lost(sensor, self.topic, losses.transport, weak, self._override)
             found.append(cause)
-        elif weak and not reliable and (silent := time.monotonic() - self._heard) > NOTHING:
-            found.append(nothing_comes(sensor, self.topic, weak, silent))
+        elif weak and not reliable and not self._hearing:
+            # One that was heard, and falls silent, has nothing to say.
+            silent = time.monotonic() - self._heard
+            found += [nothing_comes(sensor, self.topic, weak, silent)] * (silent > NOTHING)
         if self._held_up.count and reliable:
             held_up = messages_held_up(
                 sensor, self.topic, self._held_up.count, self._held_up.longest

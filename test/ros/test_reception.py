@@ -204,6 +204,10 @@ def test_somebody_who_publishes_best_effort_and_is_not_heard_is_named(listen, mo
     monkeypatch.setattr(reception, 'NOTHING', 60.0)
     listening.send_until(weak, matched(weak, 1))
     assert listening.reception.findings('gnss') == []
+    heard = len(listening.numbers)
+    listening.send_until(weak, lambda: len(listening.numbers) > heard)
+    monkeypatch.setattr(reception, 'NOTHING', -1.0)
+    assert listening.reception.findings('gnss') == []  # it was heard, and has nothing to say
 
 
 def test_messages_that_were_overwritten_are_counted_with_the_remedy(listen):
