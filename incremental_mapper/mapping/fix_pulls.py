@@ -25,6 +25,9 @@ NOISES, FEW_NOISES = 3.0, 1.5
 from which on it is believed less."""
 SPEED, BLIND_SPEED = 0.3, 2.0
 """m/s by which the way from the newest pose to the fix may be off, and without IMU and match."""
+FEWEST = 3
+"""Fixes that are off one after the other before they count as drawn away: one of a hundred is off
+by chance, where a receiver errs by metres."""
 AGREEING, LASTING = 8, 10.0
 """Fixes that are off alike, and seconds over which they are, until they are believed: then the map
 has slipped, or the receiver has another datum."""
@@ -121,22 +124,24 @@ class FixPulls:
             Metres that are added to its deviation.
         """
         off = float(np.hypot(*apart))
+        sigma = float(np.sqrt(covariance[:2, :2].max()))
         self.told.look(off)
         if off <= SLACK + NOISES * noise:
             self._slipped = False
             # Where a pull ends, what is left of it is within what is known by then.
-            doubted = off > SLACK + (0.0 if self._row else FEW_NOISES * noise)
+            doubted = off > SLACK + FEW_NOISES * (sigma if self._row else noise)
             if not doubted:
                 self._row.clear()
             return off if doubted else 0.0
         if self._slipped:
             return 0.0
         self._row.append(_Off(stamp, apart))
-        sigma = float(np.sqrt(covariance[:2, :2].max()))
         if self._alike(SLACK + NOISES * sigma):
             self._slipped = True
             return 0.0
-        self.told.add(stamp, off)
+        if len(self._row) >= FEWEST:
+            for one in self._row[-1:] if len(self._row) > FEWEST else self._row:
+                self.told.add(one.stamp, float(np.hypot(*one.apart)))
         return WIDER * off
 
     def _alike(self, most: float) -> bool:

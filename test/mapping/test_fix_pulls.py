@@ -55,8 +55,21 @@ def test_a_reference_that_wanders_on_is_never_believed_again():
 
 
 def test_single_fixes_and_small_ones_are_not_told():
-    _, told = judged([(2.0 * (second in (8, 20)), 0.0) for second in range(30)])
-    assert told.count == 2 and drawn_away('gnss', told) == () == drawn_away('gnss', Drawn())
+    _, told = judged([(2.0 * (second in (8, 20, 24)), 0.0) for second in range(30)])
+    assert told.count == 0 and drawn_away('gnss', told) == () == drawn_away('gnss', Drawn())
+
+
+@pytest.mark.parametrize('sigma', [0.05, 0.5, 2.5])
+def test_a_receiver_that_errs_by_its_noise_is_believed(sigma):
+    pulls, random = FixPulls(np.zeros(3)), np.random.default_rng(5)
+    covariance, known = np.eye(3) * sigma**2, float(np.hypot(sigma, 0.05))
+    doubts = [
+        pulls.doubt(EPOCH + number * SECOND, random.normal(0.0, sigma, 2), known, covariance)
+        for number in range(2000)
+    ]
+    weights = sigma**2 / (sigma**2 + np.square(doubts))
+    assert weights.mean() > 0.75
+    assert drawn_away('gnss', pulls.told) == ()
 
 
 def test_a_map_that_knows_little_of_its_place_believes_the_fix():
