@@ -16,12 +16,13 @@ from node_runs import SEED, Drive, node_run
 from numpy.typing import NDArray
 
 from incremental_mapper.cli.convert import convert
-from incremental_mapper.config import Tree
+from incremental_mapper.config import Sensor, Tree
 from incremental_mapper.datasets.bag_settings import SETTINGS_FILE
 from incremental_mapper.datasets.open import open_source
 from incremental_mapper.datasets.simulated.folder import simulate
 from incremental_mapper.datasets.simulated.options import MotionKind, SimulationOptions
 from incremental_mapper.datasets.truth import find_truth
+from incremental_mapper.geometry import matrix_numbers
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.mapping.odometry_frame import OdometryFrame
 from incremental_mapper.mapping.result import MapResult
@@ -119,12 +120,18 @@ def true_poses(truth: Trajectory, stamps: list[int]) -> list[gtsam.Pose3]:
     ]
 
 
-def true_twists(truth: Trajectory, stamps: list[int]) -> Array:
-    """Linear and angular velocity in base_link (N, 6), by the truth 50 ms before and after."""
-    half = NANOSECONDS // 20
+def true_twists(
+    truth: Trajectory, stamps: list[int], T_car_base: gtsam.Pose3 | None = None
+) -> Array:
+    """Linear and angular velocity in base_link (N, 6), by the truth 50 ms before and after.
+
+    Where base_link is not the frame of the truth, ``T_car_base`` tells where it is in that.
+    """
+    half, base = NANOSECONDS // 20, T_car_base or gtsam.Pose3()
     before = true_poses(truth, [stamp - half for stamp in stamps])
     after = true_poses(truth, [stamp + half for stamp in stamps])
-    logs = np.array([gtsam.Pose3.Logmap(a.between(b)) for a, b in zip(before, after, strict=True)])
+    steps = [base.between(a.between(b).compose(base)) for a, b in zip(before, after, strict=True)]
+    logs = np.array([gtsam.Pose3.Logmap(step) for step in steps])
     return np.hstack([logs[:, 3:], logs[:, :3]]) / 0.1
 
 
@@ -291,6 +298,41 @@ def shared_datum(folder: Path) -> Seen:
         f'{apart[1]:.3f} m rms apart with a datum, {apart[0]:.2f} m without; ATE {errors[0]:.3f} m '
         f'and {errors[1]:.3f} m',
         apart[1] < max(2.0 * max(errors), 0.1) < apart[0],
+    )
+
+
+@row('not tried')
+def other_base(folder: Path) -> Seen:
+    """Twist of a base 2.3 m off the car's, turned by 90 and 20 degrees, and with it all sensors."""
+    T_car_base = gtsam.Pose3(gtsam.Rot3.Ypr(np.pi / 2, 0.0, 0.35), np.array([2.0, -1.0, 0.5]))
+    tree = read_yaml(CONFIG)
+    config = effective_config(open_source(driven(), tree), tree, 'robot.py')
+    inverse = T_car_base.inverse().matrix()
+
+    def place(sensor: Sensor) -> Tree:
+        return {'T_base_sensor': matrix_numbers(inverse @ sensor.matrix())}
+
+    moved: Tree = {'imu': place(config.imu), 'gnss': place(config.gnss)}
+    moved['lidars'] = {name: place(lidar) for name, lidar in config.lidars.items()}
+    truth, aside = truth_of(driven()), NANOSECONDS // 10
+    found, stamps = [], []
+    with closing(_mapper(moved)) as mapper:
+        for item in open_source(driven(), merge(tree, moved)).measurements():
+            for window in mapper.advance(item):
+                newest = mapper.newest() if window.clusters else None
+                if newest is None or newest.velocity_covariance is None or newest.rate is None:
+                    continue
+                if truth.stamps[0] + aside <= newest.stamp <= truth.stamps[-1] - aside:
+                    stamps.append(newest.stamp)
+                    velocity = newest.pose.rotation().unrotate(newest.velocity)
+                    found.append(np.hstack([velocity, newest.rate]))
+    off = np.array(found) - true_twists(truth, stamps, T_car_base)
+    velocity, rate = rms(off[:, :3]), rms(off[:, 3:])
+    return Seen(
+        f'velocity off by {velocity:.3f} m/s rms, rate by {rate:.4f} rad/s rms, in {len(found)} '
+        f'windows; the car goes {rms(true_twists(truth, stamps, T_car_base)[:, :3]):.1f} m/s along '
+        'y and z of it',
+        velocity < 0.2 and rate < 0.03 and len(found) > 100,
     )
 
 
