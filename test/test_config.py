@@ -103,6 +103,14 @@ def test_value_out_of_range_is_rejected_with_name_and_value(tree, name, value):
     assert f'drive.yaml: {name} is {value}' in str(caught.value)
 
 
+@pytest.mark.parametrize('name', ['a\0b', '/', 'maps/..', 'm' * 201, f'/data/{"ä" * 101}/map'])
+def test_a_folder_that_no_file_system_can_make_is_refused_before_there_is_a_map(name):
+    with pytest.raises(ConfigError) as caught:
+        make_config({'save': {'on_shutdown': name}})
+    assert 'save.on_shutdown' in str(caught.value)
+    assert make_config({'save': {'on_shutdown': 'm' * 200}}).save.on_shutdown
+
+
 def test_every_wrong_setting_is_named_in_one_message():
     with pytest.raises(ConfigError) as caught:
         make_config({'window': {'duration': 9}, 'mom': {'radius': 0}})

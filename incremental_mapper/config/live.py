@@ -1,5 +1,6 @@
 """Settings of the node and of what is kept of its maps."""
 
+import os
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, TypeAlias
@@ -60,10 +61,17 @@ class ImuOdometrySettings(Section):
     """Seconds after the last window's newest state for which it is carried on."""
 
 
+LONGEST_NAME = 200
+"""Bytes of a folder's name: file systems take 255, and a number or a word is put behind it."""
+
+
 def _folder_name(text: str) -> str:
     """A folder that can be made: it needs a name of its own."""
     if text and ('\0' in text or Path(text).name in ('', '..')):
         raise ValueError(f'{text!r} names no folder that could be made')
+    longest = max((len(os.fsencode(part)) for part in Path(text).parts), default=0)
+    if longest > LONGEST_NAME:
+        raise ValueError(f'a name in it has {longest} bytes; {LONGEST_NAME} are the most')
     return text
 
 
