@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
@@ -13,7 +13,7 @@ from incremental_mapper.closures.candidate_pairs import (
     by_place,
     can_recognise,
 )
-from incremental_mapper.closures.consistency import consistent_set
+from incremental_mapper.closures.consistency import NEIGHBOURHOOD, consistent_set
 from incremental_mapper.closures.local_maps import LocalMap
 from incremental_mapper.closures.verification import Closure, Verifier, conceivable, probable
 from incremental_mapper.config import ClosureSettings, OdometrySettings
@@ -55,6 +55,7 @@ def find_closures(
     tested: Tested = NOT_TESTED,
     most: float = math.inf,
     closed: Collection[Pair] = (),
+    once: bool = False,
 ) -> Found:
     """Find out which local maps show the same place.
 
@@ -70,46 +71,129 @@ def find_closures(
         most: Pairs that are registered at the most.
         closed: Tested pairs whose closures are among what is known already, which so cannot speak
             against them.
+        once: Nobody goes on with ``tested``: what cannot become a closure is not looked at to the
+            end.
 
     Returns:
         The closures, the first always before the second in ``maps``.
     """
     candidates = by_place(maps, settings) if placed else []
-    if recognise and can_recognise():
-        candidates += by_looks(maps, settings)
-    verifier = Verifier(maps, settings, odometry)
-    refused: Counter[str] = Counter()
-    tried = registered = 0
-    known_pairs, registrations = dict(tested), dict(tested)
-    best: dict[tuple[int, int], Closure] = {}
-    for candidate in sorted(candidates, key=in_order):
-        pair = candidate.first, candidate.second
-        if pair in best:
-            continue
-        tried += 1
+    looks = by_looks(maps, settings) if recognise and can_recognise() else []
+    looking = _Looking(
+        maps, relative, Verifier(maps, settings, odometry), tested, most, closed, once
+    )
+    leading = {id(one) for one in (*_leading(candidates), *_leading(looks))}
+    waiting: list[Candidate] = []
+    for candidate in sorted((*candidates, *looks), key=in_order):
+        if once and id(candidate) not in leading:
+            waiting.append(candidate)
+        else:
+            looking.look(candidate)
+        waiting = looking.look_beside(waiting, candidate.second)
+    looking.refused['alone'] += len(waiting)
+    best = list(looking.best.values())
+    held, contradicted, alone = consistent_set(best, maps)
+    refused = looking.refused
+    refused['contradicted'] += len(contradicted)
+    refused['alone'] += len(alone)
+    return Found(
+        tuple(held),
+        looking.tried + len(waiting),
+        +refused,
+        {**looking.registrations, **looking.known_pairs},
+    )
+
+
+class _Looking:
+    """What was found so far; see ``find_closures``."""
+
+    def __init__(
+        self,
+        maps: Sequence[LocalMap],
+        relative: Relative,
+        verifier: Verifier,
+        tested: Tested,
+        most: float,
+        closed: Collection[Pair],
+        once: bool,
+    ) -> None:
+        self._maps, self._relative, self._verifier = maps, relative, verifier
+        self._most, self._closed, self._once = most, closed, once
+        self.known_pairs, self.registrations = dict(tested), dict(tested)
+        self.refused: Counter[str] = Counter()
+        self.best: dict[tuple[int, int], Closure] = {}
+        self.tried = self._registered = 0
+        self._recent: list[Closure] = []
+
+    def look(self, candidate: Candidate) -> None:
+        """Find out whether a candidate is a closure."""
+        maps, pair = self._maps, (candidate.first, candidate.second)
+        if pair in self.best:
+            return
+        self.tried += 1
         names = maps[candidate.first].cluster, maps[candidate.second].cluster
-        outcome = known_pairs.get(names)
-        if not isinstance(outcome, str) and (outcome is None or names not in closed):
+        outcome = self.known_pairs.get(names)
+        if not isinstance(outcome, str) and (outcome is None or names not in self._closed):
             # What is improbable, more of the drive may change; what registration says stays.
-            known = relative(maps[candidate.first], maps[candidate.second])
+            known = self._relative(maps[candidate.first], maps[candidate.second])
             if outcome is None and conceivable(candidate, known):
-                if registered < most:
-                    registered += 1
-                    outcome = verifier.verify(candidate, known)
-                    registrations[names] = outcome
+                if self._registered < self._most:
+                    self._registered += 1
+                    outcome = self._verifier.verify(candidate, known, self._once)
+                    self.registrations[names] = outcome
                 else:
                     outcome = LEFT
             if outcome is None or (isinstance(outcome, Closure) and not probable(outcome, known)):
                 outcome = 'improbable'  # by looks it may lie elsewhere, so it may be tried again
             elif outcome != LEFT:
-                known_pairs[names] = outcome
-        if isinstance(outcome, Closure):
-            outcome = replace(outcome, first=candidate.first, second=candidate.second)
+                self.known_pairs[names] = outcome
         if isinstance(outcome, str):
-            refused[outcome] += 1
+            self.refused[outcome] += 1
         else:
-            best[pair] = outcome
-    held, contradicted, alone = consistent_set(list(best.values()), maps)
-    refused['contradicted'] += len(contradicted)
-    refused['alone'] += len(alone)
-    return Found(tuple(held), tried, +refused, {**registrations, **known_pairs})
+            found = replace(outcome, first=candidate.first, second=candidate.second)
+            self.best[pair] = found
+            self._recent.append(found)
+
+    def look_beside(self, waiting: list[Candidate], newest: int) -> list[Candidate]:
+        """Look at candidates that a closure may confirm: alone, one would be left out.
+
+        Args:
+            waiting: They.
+            newest: The local map that the search has come to.
+
+        Returns:
+            Those that still wait; what is too far back to be confirmed is counted.
+        """
+        if not waiting:
+            return []
+        maps = self._maps
+        self._recent = [c for c in self._recent if _along(maps[c.second], maps[newest])]
+        while near := [one for one in waiting if any(_beside(one, c, maps) for c in self._recent)]:
+            waiting = [one for one in waiting if one not in near]
+            for candidate in near:
+                self.look(candidate)
+        wait = [one for one in waiting if _along(maps[one.second], maps[newest])]
+        self.refused['alone'] += len(waiting) - len(wait)
+        self.tried += len(waiting) - len(wait)
+        return wait
+
+
+def _leading(candidates: Sequence[Candidate]) -> Iterator[Candidate]:
+    """The first candidate of each local map, which is its best."""
+    seen: set[int] = set()
+    for candidate in candidates:
+        if candidate.second not in seen:
+            yield candidate
+        seen.add(candidate.second)
+
+
+def _beside(candidate: Candidate, closure: Closure, maps: Sequence[LocalMap]) -> bool:
+    """Whether a closure may confirm a candidate: it is near on both ways."""
+    return _along(maps[candidate.first], maps[closure.first]) and _along(
+        maps[candidate.second], maps[closure.second]
+    )
+
+
+def _along(one: LocalMap, other: LocalMap) -> bool:
+    """Whether two local maps are near each other on their way."""
+    return one.run == other.run and abs(one.travelled - other.travelled) <= NEIGHBOURHOOD

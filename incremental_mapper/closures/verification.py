@@ -37,7 +37,7 @@ IMPROBABLE = 22.5
 """Squared Mahalanobis distance that one in a thousand exceeds, with six degrees of freedom."""
 GUESS = np.diag(np.square([0.1, 0.1, 0.1, 3.0, 3.0, 3.0]))
 """Covariance of where a candidate lies: registration takes it from there."""
-KEPT = 16
+KEPT = 20
 """Prepared local maps that are kept, 6 MB each; pairs come in the order of the way."""
 
 
@@ -78,13 +78,16 @@ class Verifier:
         self._maps, self._settings, self._odometry = maps, settings, odometry
         self._prepared: OrderedDict[int, _Prepared] = OrderedDict()
 
-    def verify(self, candidate: Candidate, known: Known | None) -> Closure | str:
+    def verify(
+        self, candidate: Candidate, known: Known | None, once: bool = False
+    ) -> Closure | str:
         """The closure that a candidate proves to be, or in a word why it is none.
 
         Args:
             candidate: Two local maps.
             known: What is known of their relative pose. It must allow the candidate
                 (``conceivable``), and may still speak against what comes of it (``probable``).
+            once: Whether what is improbable by now may be left at that.
         """
         pose = candidate.T_first_second
         first, second = self._ready(candidate.first), self._ready(candidate.second)
@@ -103,6 +106,8 @@ class Verifier:
         )
         covariance = floor if covariance is None else covariance + floor
         found = Closure(candidate.first, candidate.second, pose, covariance, overlap)
+        if once and not probable(found, known):
+            return 'improbable'
         back = _matched(second.scan, first.scan, pose.inverse(), reaches[-1:])
         if back is None or not _same(back.inverse(), pose):
             return 'one_way'
@@ -155,7 +160,8 @@ def _reaches(known: Known | None) -> tuple[float, ...]:
     if known is None:
         return REACHES
     off = SURE * float(np.sqrt(UNCERTAIN * np.linalg.eigvalsh(known.covariance[3:, 3:])[-1]))
-    return tuple(min(reach, max(off, LEAST_REACH)) for reach in REACHES)
+    # Twice the same would lead nowhere else.
+    return tuple(dict.fromkeys(min(reach, max(off, LEAST_REACH)) for reach in REACHES))
 
 
 def _matched(

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from incremental_mapper.compiled import kernel
 from incremental_mapper.map.near_voxels import STRETCH, enclose, means_near
+from incremental_mapper.map.shared_rows import SHARED, SharedRows, shared_zeros
 
 FURTHEST = 2.0e9
 """Voxels from the corner beyond which 32 bits do not tell them apart."""
@@ -51,6 +52,7 @@ class VoxelGrid:
         fullest: float = np.inf,
         room: int = ROOM,
         marked: bool = False,
+        shared: bool = False,
     ) -> None:
         """Make an empty grid.
 
@@ -63,6 +65,7 @@ class VoxelGrid:
                 grid that points are added to for hours needs a limit.
             room: voxels that are expected; more make the grid grow.
             marked: whether it keeps marks.
+            shared: whether forks share its memory, see ``shared_rows``; they must not look at it.
         """
         self._size = voxel_size
         self._corner = np.zeros(3) if corner is None else corner
@@ -70,6 +73,7 @@ class VoxelGrid:
         self._used = self._boxed = 0
         self._columns = 3
         self._marked = marked
+        self._rows = SharedRows(8) if shared and SHARED else None
         self._boxes = np.empty((0, 4), dtype=np.int32)
         self._make(max(room, 1))
 
@@ -157,12 +161,21 @@ class VoxelGrid:
         return self._table.nbytes + coming + self._cells[: self._used].nbytes
 
     def _make(self, room: int) -> None:
-        self._table = _new_table(room)
+        self._table = self._new_table(room)
         self._next: NDArray[np.int32] | None = None
         self._entered = self._touched = 0  # of the voxels and the slots, in the next table
         # A voxel's numbers lie side by side: what takes time is fetching them from memory.
-        self._cells = np.empty((room, 8), dtype=np.int32)
+        empty = np.empty((room, 8), dtype=np.int32)
+        self._cells = empty if self._rows is None else self._rows.grown(room)
         self._marks = np.empty(room if self._marked else 0, dtype=np.int32)
+
+    def _new_table(self, room: int) -> NDArray[np.int32]:
+        """A table where half of the slots or more stay free with so many voxels; 0 is a free one.
+
+        Zeros take no memory before they are written.
+        """
+        slots = 1 << (2 * room - 1).bit_length()
+        return np.zeros(slots, dtype=np.int32) if self._rows is None else shared_zeros(slots)
 
     def _reserve(self, more: int) -> None:
         """Make room for so many more voxels."""
@@ -171,12 +184,16 @@ class VoxelGrid:
             room = max(wanted, len(self._cells) + len(self._cells) // GROWTH)
             # The system moves such a piece of memory without copying it. Nobody else holds it:
             # what is taken out is a copy.
-            self._cells.resize((room, 8), refcheck=False)
+            if self._rows is None:
+                self._cells.resize((room, 8), refcheck=False)
+            else:
+                self._cells = np.empty((0, 8), dtype=np.int32)
+                self._cells = self._rows.grown(room)
             if self._marked:
                 self._marks.resize(room, refcheck=False)
         while self._next is not None or 2 * wanted > len(self._table):
             if self._next is None:
-                self._next = _new_table(max(wanted, len(self._table)))
+                self._next = self._new_table(max(wanted, len(self._table)))
                 self._entered = self._touched = 0
             # All at once where there is no time: the table would be full.
             soon = wanted > FULLEST * len(self._table)
@@ -258,12 +275,6 @@ def _mixed(p: np.int32, q: np.int32, r: np.int32) -> np.uint64:
     mixed += np.uint64(r) * np.uint64(0x165667B19E3779F9)
     mixed = (mixed ^ (mixed >> np.uint64(32))) * np.uint64(0x9E3779B97F4A7C15)
     return mixed >> np.uint64(32)
-
-
-def _new_table(room: int) -> NDArray[np.int32]:
-    """A table where half of the slots or more stay free with so many voxels; 0 is a free one."""
-    # Of zeros, which take no memory before they are written.
-    return np.zeros(1 << (2 * room - 1).bit_length(), dtype=np.int32)
 
 
 @kernel

@@ -119,7 +119,7 @@ class LiveMap:
         near the newest pose and comes first where not all have room.
         """
         state, settings = self._mapper.state, self._config.map
-        moving = self._empty_grid()
+        moving = self._empty_grid(lasting=False)
         for scan in state.scans[self._scans :]:
             self._add(moving, scan)
         new = moving.points(without=self._cloud)
@@ -225,9 +225,11 @@ class LiveMap:
         settings = self._config.map
         return settings.display_voxel_size or settings.voxel_size
 
-    def _empty_grid(self, room: int = ROOM) -> VoxelGrid:
+    def _empty_grid(self, room: int = ROOM, lasting: bool = True) -> VoxelGrid:
         most = self._config.map.max_range
-        return VoxelGrid(self._size, max_range=most, fullest=_FULLEST, room=max(room, ROOM))
+        return VoxelGrid(
+            self._size, max_range=most, fullest=_FULLEST, room=max(room, ROOM), shared=lasting
+        )
 
     def _add(self, grid: VoxelGrid, scan: PlacedScan) -> None:
         grid.add(scan.cloud, self._pose(scan))

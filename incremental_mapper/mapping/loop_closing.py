@@ -127,7 +127,9 @@ def close_loops(state: GraphState, values: gtsam.Values, config: Config) -> Clos
             maps = cut(None)
         except OutputError:
             return Closed(values, note=UNREADABLE)
-    found = find_closures(maps, places.relative, settings, config.odometry, recognise=recognise)
+    found = find_closures(
+        maps, places.relative, settings, config.odometry, recognise=recognise, once=True
+    )
     return _closed(state, maps, found, values, config, _library_note(stretches, settings))
 
 
@@ -148,7 +150,7 @@ def find_loops(state: GraphState, values: gtsam.Values, config: Config, looked: 
     """
     # The newest stretch is not whole.
     stretches = cut_way(state.clusters, values, config.closure.map_length, looked.stretches)[:-1]
-    found = _more(state, stretches, values, config, looked, math.inf, False)
+    found = _more(state, stretches, values, config, looked, math.inf, False, once=False)
     return Closed(values, looked=looked) if found is None else found
 
 
@@ -169,7 +171,7 @@ def close_more_loops(
     """
     settings = config.closure
     stretches = cut_way(state.clusters, values, settings.map_length, looked.stretches)
-    found = _more(state, stretches, values, config, looked, most, can_recognise())
+    found = _more(state, stretches, values, config, looked, most, can_recognise(), once=True)
     closed = found or Closed(values, tuple(state.closures))
     return replace(closed, note=_library_note(stretches, settings))
 
@@ -182,6 +184,7 @@ def _more(
     looked: Looked,
     most: float,
     recognise: bool,
+    once: bool,
 ) -> Closed | None:
     """What there is beyond what was looked at; None where there is nothing to be compared."""
     settings, tested = config.closure, looked.tested
@@ -234,6 +237,7 @@ def _more(
         tested=tested,
         most=most,
         closed=closed,
+        once=once,
     )
     more = _closed(state, maps, found, values, config, '')
     return replace(more, looked=Looked(tuple(stretches), found.tested))

@@ -8,6 +8,7 @@ import pytest
 from town import pose, seen_points, town, wall
 
 from incremental_mapper.candidates.model import Cluster, CoreKind, CoreMeasurement
+from incremental_mapper.closures import verification
 from incremental_mapper.closures.candidate_pairs import (
     Candidate,
     Known,
@@ -151,6 +152,61 @@ def test_what_registration_finds_improbable_is_not_registered_again(maps):
         tested=first.tested, closed={(1, 2)},
     )  # fmt: skip
     assert asked == [] and held.refused == {'alone': 1}
+
+
+def beside(count):
+    """A way of so many local maps, and the same way once more, 5 m aside."""
+    nothing = np.zeros((0, 3), dtype=np.float32)
+    there = [pose(20.0 * number, 0.0) for number in range(count)]
+    again = [pose(20.0 * number + 8.0, 5.0) for number in range(count)]
+    return [
+        LocalMap(number, number, place, 20.0 * number + 1000.0 * (number >= count), nothing)
+        for number, place in enumerate([*there, *again])
+    ]
+
+
+@pytest.mark.parametrize('loops', [False, True])
+def test_what_nothing_could_confirm_is_not_registered(monkeypatch, loops):
+    maps, looked = beside(30), []
+
+    def verify(self, candidate, known, once):
+        looked.append((candidate.first, candidate.second))
+        if not loops:
+            return 'no_overlap'
+        return Closure(
+            candidate.first, candidate.second, candidate.T_first_second, 1e-4 * np.eye(6), 1.0
+        )
+
+    monkeypatch.setattr(Verifier, 'verify', verify)
+    pairs = [(pair.first, pair.second) for pair in by_place(maps, SETTINGS)]
+    found = find_closures(maps, lambda *_: None, SETTINGS, ODOMETRY, recognise=False, once=True)
+    assert found.candidates == len(pairs) > 55
+    if loops:  # each of them is confirmed by others
+        assert sorted(looked) == sorted(pairs) and len(found.closures) == len(pairs)
+    else:
+        assert len(looked) == 30 and found.refused == {
+            'no_overlap': 30,
+            'alone': len(pairs) - 30,
+        }
+    looked.clear()
+    find_closures(maps, lambda *_: None, SETTINGS, ODOMETRY, recognise=False)
+    assert sorted(looked) == sorted(pairs)  # who goes on with what was tested has all of it
+
+
+def test_what_is_improbable_is_not_registered_the_other_way_round(maps, monkeypatch):
+    tight, targets = known(maps, 0, 1, 1e-4 * TIGHT), []
+    align = verification._align
+    monkeypatch.setattr(
+        verification,
+        '_align',
+        lambda target, *rest, **more: (targets.append(id(target)), align(target, *rest, **more))[1],
+    )
+    verifier = Verifier(maps, SETTINGS, ODOMETRY)
+    candidate = by_place(maps[:2], SETTINGS)[0]
+    assert verifier.verify(candidate, tight, once=True) == 'improbable'
+    assert len(set(targets)) == 1
+    assert isinstance(verifier.verify(candidate, tight), Closure)
+    assert len(set(targets)) == 2
 
 
 def test_stretches_stay_while_poses_move_and_the_way_grows():

@@ -29,11 +29,17 @@ def by_cell(points):
     return {tuple(cell): point for cell, point in zip(cells(points), points, strict=True)}
 
 
-@settings(deadline=None, max_examples=30)
-@given(st.integers(0, 3000), st.integers(0, 10_000), st.integers(1, 12), st.sampled_from([1, 50]))
-def test_grid_that_grows_is_the_one_that_had_room(count, seed, pieces, room):
+@settings(deadline=None, max_examples=60)
+@given(
+    st.integers(0, 3000),
+    st.integers(0, 10_000),
+    st.integers(1, 12),
+    st.sampled_from([1, 50]),
+    st.booleans(),
+)
+def test_grid_that_grows_is_the_one_that_had_room(count, seed, pieces, room, shared):
     points = scattered(count, seed)
-    grid = VoxelGrid(SIZE, room=room)
+    grid = VoxelGrid(SIZE, room=room, shared=shared)
     for piece in np.array_split(points, pieces):
         grid.add(piece, np.eye(4))
         grid.points()  # does not disturb it
@@ -56,9 +62,10 @@ def test_grid_that_grows_does_a_part_of_the_work_at_a_time(monkeypatch):
     assert len(grid) == len(points)
 
 
-def test_more_points_than_the_next_table_has_room_for():
+@pytest.mark.parametrize('shared', [False, True])
+def test_more_points_than_the_next_table_has_room_for(shared):
     points = scattered(40_000, 3, spread=400.0)
-    grid = VoxelGrid(SIZE, room=600)
+    grid = VoxelGrid(SIZE, room=600, shared=shared)
     for piece in (points[:500], points[500:620], points[620:]):
         grid.add(piece, np.eye(4))
     assert np.array_equal(np.sort(grid.points(), 0), np.sort(thin_all(points), 0))
