@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from incremental_mapper.checks.finding import Finding, Severity
+from incremental_mapper.checks.imu_force_unit import force_unit_finding
 from incremental_mapper.checks.imu_motion import (
     MAX_LAG,
     Agreement,
@@ -114,7 +115,8 @@ def check_motion(
     sure = axes.as_said and axes.lead > AXES_LEAD
     if not axes.was_upright and not sure and (last or seconds > PATIENCE):
         return (_not_upright(evidence, settings),)
-    return ()
+    unit = force_unit_finding(evidence, settings) if together else None
+    return () if unit is None else (unit,)
 
 
 def _frozen_gyro(evidence: MotionEvidence) -> Finding | None:

@@ -34,6 +34,18 @@ def test_degrees_are_known_by_the_ratio_of_the_rotations():
     assert check_motion(evidence(rate=180 / np.pi, settings=mended), mended) == ()
 
 
+@pytest.mark.parametrize('unit', [9.80665, 0.00980665])
+def test_accelerations_without_gravity_are_held_against_those_of_the_matches(unit):
+    sound = evidence(seconds=20.0)
+    bare = replace(sound, force=sound.force - (0.0, 0.0, GRAVITY), gravity=0.0)
+    assert check_motion(bare, Imu()) == ()
+    found = only(check_motion(replace(bare, force=bare.force / unit), Imu()))
+    assert (found.rule, found.severity) == ('imu_in_g', Severity.MENDED)
+    assert found.settings['imu']['acceleration_scale'] == pytest.approx(unit)
+    noise = np.random.default_rng(3).normal(scale=0.1, size=bare.force.shape)
+    assert check_motion(replace(bare, force=noise), Imu()) == ()  # has nothing to do with it
+
+
 def test_raw_counts_of_a_gyroscope_are_scaled():
     found = only(check_motion(evidence(rate=7509.9), Imu()))
     assert (found.rule, found.severity) == ('imu_rate_scale', Severity.MENDED)
