@@ -146,7 +146,9 @@ class BagSource:
                 self._sensors.setdefault(topic.name, {})[frame] = name
             clock_look = ClockLook(reader, self._sensors)
             clocks = check_clocks(clock_look.clocks, merge(own, tree), list(self._choice.topics))
-            sectors = {name: look.partial for name, _, look in lidars if look.partial is not None}
+            sectors = {
+                name: look.partial[frame] for name, frame, look in lidars if frame in look.partial
+            }
             notes = [
                 *self._choice.notes,
                 *extrinsics.notes,

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -37,7 +37,7 @@ class TopicLook:
         points: usable points of a cloud, by frame_id; the median.
         sizes: usable points of each cloud, by stamp.
         whole: usable points (N, 3) of the first few clouds, by stamp.
-        partial: share of the sweep in one cloud, where clouds are parts of one; else None.
+        partial: share of the sweep in one cloud, by frame_id, where clouds are parts of one.
         alternating: whether two kinds of clouds take turns under one frame_id.
     """
 
@@ -46,7 +46,7 @@ class TopicLook:
     points: dict[str, float]
     sizes: dict[int, int]
     whole: dict[int, Points]
-    partial: float | None = None
+    partial: dict[str, float] = field(default_factory=dict)
     alternating: bool = False
 
     def topic(self) -> CloudTopic:
@@ -76,14 +76,15 @@ def look_at_clouds(reader: BagReader, topic: Topic) -> TopicLook:
     by_frame: dict[str, list[int]] = {}
     sizes: dict[int, int] = {}
     whole: dict[int, Points] = {}
-    clouds: list[Points] = []
-    partial = None
+    clouds: dict[str, list[Points]] = {}
+    parts: dict[str, float] | None = None
     for count, message in enumerate(messages_of(reader, topic)):
-        if count == FEWEST_CLOUDS and len(frames) == 1:
-            partial = partial_sweeps(clouds)
-            if partial is None:
+        # Parts of sweeps take twice as many, of each LiDAR.
+        if parts is None and count >= FEWEST_CLOUDS * max(len(frames), 1):
+            parts = _parts(clouds)
+            if len(frames) == 1 and not parts:
                 break
-        if count >= LOOKED_AT:
+        if count >= LOOKED_AT * (len(frames) if parts else 1):
             break
         frame = _frame(message)
         frames[frame] += 1
@@ -97,18 +98,24 @@ def look_at_clouds(reader: BagReader, topic: Topic) -> TopicLook:
         by_frame.setdefault(frame, []).append(len(points))
         if len(whole) < FULL_CLOUDS:
             whole[stamp] = points
-        clouds.append(_sample(points))
-    one = len(frames) == 1
-    share = partial_sweeps(clouds) if one and partial is not None else None
+        clouds.setdefault(frame, []).append(_sample(points))
+    shares = _parts(clouds) if parts else {}
+    alone = next(iter(clouds.values())) if len(frames) == 1 == len(clouds) else []
     return TopicLook(
         dict(frames),
         times,
         {frame: float(np.median(found)) for frame, found in by_frame.items()},
         sizes,
         whole,
-        share,
-        one and share is None and take_turns(clouds),
+        shares,
+        not shares and take_turns(alone),
     )
+
+
+def _parts(clouds: Mapping[str, list[Points]]) -> dict[str, float]:
+    """Share of the sweep in one cloud, by frame_id, where clouds are parts of one."""
+    shares = {frame: partial_sweeps(own) for frame, own in clouds.items()}
+    return {frame: share for frame, share in shares.items() if share is not None}
 
 
 def _usable(message: Any) -> Points:

@@ -299,8 +299,8 @@ def vendor_bag(path, with_clouds):
     return path
 
 
-def sectors(path, parts, sweeps=3):
-    """A turning LiDAR that sends every sweep in so many clouds."""
+def sectors(path, parts, sweeps=3, frames=('lidar',)):
+    """A turning LiDAR that sends every sweep in so many clouds, one for each frame."""
     azimuth = np.linspace(-np.pi, np.pi, 1440, endpoint=False)
     events = []
     for sweep in range(sweeps * 10 // parts + 3):
@@ -308,7 +308,7 @@ def sectors(path, parts, sweeps=3):
         ring = np.column_stack([radius * np.cos(azimuth), radius * np.sin(azimuth), 0 * radius])
         for i, part in enumerate(np.array_split(ring, parts)):
             stamp = START + sweep * 100 * MS + i * 100 * MS // parts
-            events.append(('/scan', framed(CLOUD, stamp, 'lidar', part)))
+            events += [('/scan', framed(CLOUD, stamp, frame, part)) for frame in frames]
     return write(path, events)
 
 
@@ -325,6 +325,15 @@ def test_parts_of_sweeps_are_gathered(tmp_path, parts):
         spent = sweep.point_times.max() - sweep.point_times.min()
         assert spent == pytest.approx(0.1, abs=0.1 / parts + 1e-3)
     assert np.diff([sweep.stamp for sweep in sweeps[:-1]]) == pytest.approx(100 * MS, rel=1e-3)
+
+
+def test_parts_of_sweeps_of_two_lidars_on_one_topic_are_gathered(tmp_path):
+    bag = sectors(tmp_path / 'bag', 8, 6, ('front', 'rear'))
+    source = open_source(bag, placed('front', 'rear'))
+    assert len(said(source, 'sector_clouds')) == 2 and len(said(source, 'several_frames')) == 1
+    sweeps = list(source.measurements())
+    assert source.drops == {} and {sweep.sensor for sweep in sweeps} == {'front', 'rear'}
+    assert {len(sweep.points) for sweep in sweeps[:-2]} == {1440}
 
 
 def test_whole_sweeps_and_narrow_views_are_not_parts(tmp_path):
