@@ -65,10 +65,13 @@ class DatumStep:
     Attributes:
         stamp: Stamp of the first fix after it, ns.
         shift: East, north and up by which the fixes moved, metres.
+        broken: Whether odometry was interrupted there, or has turned, so that it does not say that
+            the vehicle stayed where it was.
     """
 
     stamp: int
     shift: tuple[float, float, float]
+    broken: bool = False
 
 
 @dataclass(slots=True)
@@ -101,6 +104,7 @@ class Drawn:
         self.most = max(self.most, metres)
 
 
+CUT = 'the recording may be cut there, or scan matching has lost its way'
 _TEXTS = {
     'gnss_jump': 'are up to {most} from where odometry and the fixes before them say',
     'frozen_fix': 'repeat a position bit for bit while the car moves up to {most}',
@@ -138,14 +142,15 @@ def judged_fixes(
     ]
     if steps:
         east, north, up = steps[-1].shift
+        broken = f', which is interrupted there: {CUT}' if any(s.broken for s in steps) else ''
         found.append(
             Finding(
                 rule='datum_step',
-                severity=Severity.WARNING,
+                severity=Severity.ERROR if broken else Severity.WARNING,
                 sensor=sensor,
                 text=f'the datum changes {len(steps)} times, last at {steps[-1].stamp} by '
                 f'{_metres(float(np.hypot(east, north)))} horizontally and {_metres(abs(up))} '
-                'vertically, while fixes before and after agree with odometry',
+                f'vertically, while fixes before and after agree with odometry{broken}',
                 remedy='fixes after it are moved back; the datum of the larger part is kept',
             )
         )
@@ -156,6 +161,25 @@ def _text(reason: str, one: Suspicion) -> str:
     if reason == 'datum_outlier' and one.most == 0.0:
         return _ABANDONED
     return _TEXTS[reason].format(most=_metres(one.most))
+
+
+def fixes_elsewhere(sensor: str, count: int, first: int, metres: float) -> Finding:
+    """Fixes that agree with each other and with odometry, and that a map does not follow.
+
+    Args:
+        sensor: Name of the receiver.
+        count: How many there are, the newest among them.
+        first: Stamp of the first of them, ns.
+        metres: How far the newest is from where the map has it.
+    """
+    return Finding(
+        'fixes_elsewhere',
+        Severity.ERROR,
+        sensor,
+        f'the last {count} fixes, from {first} on, agree with each other and with odometry, and '
+        f'are {_metres(metres)} from where those before them say, or turned: {CUT}',
+        'map what is before it and what is behind it alone',
+    )
 
 
 def drawn_away(sensor: str, drawn: Drawn) -> tuple[Finding, ...]:

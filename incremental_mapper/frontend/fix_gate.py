@@ -23,6 +23,7 @@ from incremental_mapper.checks.fixes import (
     DatumStep,
     Suspicion,
     far_datum,
+    fixes_elsewhere,
     judged_fixes,
     scatter,
     too_certain,
@@ -141,7 +142,7 @@ class FixGate:
     def findings(self) -> tuple[Finding, ...]:
         """What was found wrong with the fixes so far."""
         found = judged_fixes(self.sensor, self.received, self.suspicions, self.steps)
-        return (*found, *far_datum(self.sensor, *self._farthest))
+        return (*found, *far_datum(self.sensor, *self._farthest), *self._elsewhere())
 
     def misshapen(self, last: bool = False) -> Finding | None:
         """Whether the track of the fixes is not odometry's in shape, size or time.
@@ -377,7 +378,9 @@ class FixGate:
             first = track.members[0].entry.fix.stamp
             shift = main.datum.enu_of(track.datum) - track.origin
             east, north, up = (float(value) for value in shift)
-            self.steps.append(DatumStep(first, (east, north, up)))
+            before, after = main.members[-1].entry, track.members[0].entry
+            broken = after.place.blind > before.place.blind or not alike(main, track)
+            self.steps.append(DatumStep(first, (east, north, up), broken))
 
     def _origin(self, track: Track) -> NDArray[np.float64]:
         """Where the datum of a track lies in the frame (3,), by odometry from the main one."""
@@ -398,6 +401,20 @@ class FixGate:
             main.origin + before[near].mean(axis=0) + way - after.mean(axis=0)
         )
         return origin
+
+    def _elsewhere(self) -> tuple[Finding, ...]:
+        """Whether the newest fixes agree with each other, and nobody follows them."""
+        if not self._settled:
+            return ()
+        main = self._tracks[0]
+        for track in self._tracks[1:]:
+            newest = track.members[-1].entry
+            later = newest.fix.stamp > main.members[-1].entry.fix.stamp
+            if later and track.origin is None and track.moved and track.count >= STEP:
+                apart, _ = main.disagreement(newest, main.yaw())
+                first = track.members[0].entry.fix.stamp
+                return (fixes_elsewhere(self.sensor, track.count, first, apart),)
+        return ()
 
     def _suspect(self, reason: str, stamp: int, metres: float) -> None:
         known = self.suspicions.setdefault(reason, Suspicion(0, stamp, 0.0))

@@ -32,6 +32,7 @@ class Drive:
         self.covariance = None
         self.pitch = 0.0  # that odometry wrongly reads from scan to scan, rad
         self.scans = 0
+        self.unmatched = frozenset()  # scans without a match to the one before
         self.used, self.doubtful, self.refused, self.gone = {}, set(), {}, set()
         self.rng = np.random.default_rng(1)
 
@@ -40,10 +41,11 @@ class Drive:
 
     def scan(self):
         stamp = START + self.scans * NANOSECONDS // 10
-        previous = stamp - NANOSECONDS // 10 if self.scans else None
+        begins = self.scans == 0 or self.scans in self.unmatched
+        previous = None if begins else stamp - NANOSECONDS // 10
         step = self.way(self.scans / 10) - self.way((self.scans - 1) / 10)
         turn = gtsam.Rot3.Pitch(self.pitch)
-        motion = gtsam.Pose3(turn, np.array([step, 0, 0])) if self.scans else None
+        motion = None if begins else gtsam.Pose3(turn, np.array([step, 0, 0]))
         core = CoreMeasurement(stamp, 'left', CoreKind.LIDAR)
         nowhere, covariance = np.zeros((1, 3)), self.covariance if previous else None
         self.gate.scan(
@@ -325,3 +327,34 @@ def test_a_datum_that_is_far_away_is_warned_of_and_refused_beyond_reach(
     assert drive.rules() == rules and len(drive.used) == used
     assert {finding.severity for finding in drive.gate.findings()} == severities
     assert drive.gate.certain is (used > 0)
+
+
+def turned_off(number, begin, degrees):
+    """East, north and up of a car that was carried away and turned before a fix."""
+    if number < begin:
+        return [0.0, 0.0, 0.0]
+    ahead = SPEED * (number - begin) * np.array([np.cos(HEADING), np.sin(HEADING)])
+    angle = np.radians(degrees)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    return [*(turn @ ahead - ahead + [30.0, -10.0]), 0.0]
+
+
+def test_fixes_behind_a_cut_that_nobody_follows_are_an_error():
+    drive = driven(20, 1.0, lambda i: turned_off(i, 13, 60.0))
+    assert len(drive.refused) == 7
+    found = {one.rule: one for one in drive.gate.findings()}
+    assert found['fixes_elsewhere'].severity is Severity.ERROR
+    assert 'the last 7 fixes' in found['fixes_elsewhere'].text
+    # One that comes back to the map refutes them.
+    drive.fix(20, 20.0, np.zeros(3))
+    assert 'fixes_elsewhere' not in drive.rules()
+
+
+@pytest.mark.parametrize('unmatched', [frozenset(), frozenset([245])])
+def test_a_step_where_odometry_is_interrupted_may_be_a_cut(unmatched):
+    drive = Drive()
+    drive.unmatched = unmatched
+    for i in range(40):
+        drive.fix(i, float(i), np.array([0.0, 40.0 * (i > 24), 0.0]))
+    (step,) = [one for one in drive.gate.findings() if one.rule == 'datum_step']
+    assert step.severity is (Severity.ERROR if unmatched else Severity.WARNING)
