@@ -40,6 +40,9 @@ _SAME_PLACE = 0.8
 """How many of the common directions have the same range as in the last cloud, by how many as in
 the one before it, at least, where one LiDAR looks at one place: that one has 0.91 and more, two
 VLP-16 between houses 0.6."""
+_SLIVER = 0.05
+"""Share of the points of one kind of clouds with which the other kind is what a driver lost the
+rest of: 16 beams beside 128 have an eighth."""
 _CELL = np.radians(0.5)
 _NEAR, _NEAR_SHARE = 0.3, 0.1
 """Ranges in one direction agree within so many metres, and such a share of them."""
@@ -77,7 +80,11 @@ def take_turns(clouds: Sequence[Points]) -> bool:
     Args:
         clouds: See ``partial_sweeps``.
     """
-    if len(clouds) < FEWEST_CLOUDS or min(len(cloud) for cloud in clouds) < 2:
+    sizes = [len(cloud) for cloud in clouds]
+    if len(clouds) < FEWEST_CLOUDS or min(sizes) < 2:
+        return False
+    fewer, more = sorted((float(np.median(sizes[::2])), float(np.median(sizes[1::2]))))
+    if fewer < _SLIVER * more:
         return False
     kinds = np.array([[*cloud.mean(axis=0), *cloud.std(axis=0)] for cloud in clouds])
     next_to = np.abs(kinds[1:] - kinds[:-1]).sum(axis=1)

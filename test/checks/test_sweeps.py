@@ -25,6 +25,13 @@ def test_one_lidar_does_not():
     assert not take_turns([sweep(rng) for _ in range(FEWEST_CLOUDS)])
 
 
+def test_slivers_of_every_second_cloud_are_no_second_lidar():
+    rng = np.random.default_rng(3)
+    whole = [sweep(rng) for _ in range(2 * FEWEST_CLOUDS)]
+    assert not take_turns([cloud if k % 2 else cloud[:15] + 4.0 for k, cloud in enumerate(whole)])
+    assert take_turns([cloud if k % 2 else cloud[:200] + 4.0 for k, cloud in enumerate(whole)])
+
+
 def rosette(number, rng):
     """A solid-state LiDAR of 70 x 40 degrees in a street, whose loops drift from cloud to cloud."""
     times = number * 0.1 + np.arange(8000) / 80_000
