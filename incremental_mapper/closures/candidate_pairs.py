@@ -1,6 +1,6 @@
 """Which local maps may show the same place: by where they lie, and by what they look like."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, TypeAlias
@@ -85,18 +85,22 @@ def by_place(maps: Sequence[LocalMap], settings: ClosureSettings) -> list[Candid
     return found
 
 
-def by_looks(maps: Sequence[LocalMap], settings: ClosureSettings) -> list[Candidate]:
+def by_looks(
+    maps: Sequence[LocalMap], settings: ClosureSettings, among: Collection[int] | None = None
+) -> list[Candidate]:
     """Pairs that look alike from above (density maps), wherever they are thought to lie.
 
     Args:
         maps: As for ``by_place``; the library must be installed, see ``can_recognise``.
         settings: How many for each local map.
+        among: The places in ``maps`` of those that are compared with each other; None is all. What
+            it costs grows with the square of their number.
     """
     library: Any = import_module(LIBRARY + '.map_closures')
     detector = library.MapClosures()
     found: list[Candidate] = []
     for second, own in enumerate(maps):
-        if len(own.points) < FEWEST_POINTS:
+        if len(own.points) < FEWEST_POINTS or not (among is None or second in among):
             continue
         alike = detector.get_closures(SPACING * second, own.points.astype(np.float64))
         alike = sorted(alike, key=lambda one: (-one.number_of_inliers, one.source_id))

@@ -51,7 +51,7 @@ def find_closures(
     settings: ClosureSettings,
     odometry: OdometrySettings,
     placed: bool = True,
-    recognise: bool = True,
+    recognise: Collection[int] | None = None,
     tested: Tested = NOT_TESTED,
     most: float = math.inf,
     closed: Collection[Pair] = (),
@@ -66,7 +66,8 @@ def find_closures(
         settings: Those of closures.
         odometry: Those that tell the covariance of a match.
         placed: Whether all poses are in one frame, so that what lies side by side is a candidate.
-        recognise: Whether to look for places by what they look like, too, where that is possible.
+        recognise: The places in ``maps`` of those that are compared by what they look like, too,
+            where that is possible; None is all.
         tested: Pairs of one drive that need not be registered again, nor have points.
         most: Pairs that are registered at the most.
         closed: Tested pairs whose closures are among what is known already, which so cannot speak
@@ -78,7 +79,8 @@ def find_closures(
         The closures, the first always before the second in ``maps``.
     """
     candidates = by_place(maps, settings) if placed else []
-    looks = by_looks(maps, settings) if recognise and can_recognise() else []
+    wanted = recognise is None or len(recognise) > 0
+    looks = by_looks(maps, settings, recognise) if wanted and can_recognise() else []
     looking = _Looking(
         maps, relative, Verifier(maps, settings, odometry), tested, most, closed, once
     )

@@ -121,14 +121,18 @@ def close_loops(state: GraphState, values: gtsam.Values, config: Config) -> Clos
     places = _known_places(state.factors.unpacked(), values)
     if places is None:
         return Closed(values)
-    recognise = can_recognise() and not places.certain(maps, settings)
-    if recognise or by_place(maps, settings):  # else no points are looked at
+    unsure = places.unsure(maps, settings) if can_recognise() else []
+    # To cut one takes a tenth of a second: only what is looked at.
+    wanted = {maps[place].cluster for place in unsure}
+    for pair in by_place(maps, settings):
+        wanted |= {maps[pair.first].cluster, maps[pair.second].cluster}
+    if wanted:
         try:
-            maps = cut(None)
+            maps = cut(wanted)
         except OutputError:
             return Closed(values, note=UNREADABLE)
     found = find_closures(
-        maps, places.relative, settings, config.odometry, recognise=recognise, once=True
+        maps, places.relative, settings, config.odometry, recognise=unsure, once=True
     )
     return _closed(state, maps, found, values, config, _library_note(stretches, settings))
 
@@ -207,8 +211,8 @@ def _more(
     alone = _known_places(plain, values) if recognise and state.closures else places
     if places is None or alone is None:
         return None
-    recognise = recognise and not alone.certain(maps, settings)
-    if not untested and not recognise:
+    unsure = alone.unsure(maps, settings) if recognise else []
+    if not untested and not unsure:
         return None
     if most < len(untested):
         # Points of those alone that will be registered: to cut all took most of a save.
@@ -224,7 +228,7 @@ def _more(
         )
     wanted = {cluster for pair in untested for cluster in names(pair)}
     try:
-        maps = cut(None if recognise else wanted)
+        maps = cut(wanted | {maps[place].cluster for place in unsure})
     except OutputError:
         return None
     closed = {ends(factor) for factor in state.closures}
@@ -233,7 +237,7 @@ def _more(
         places.relative,
         settings,
         config.odometry,
-        recognise=recognise,
+        recognise=unsure,
         tested=tested,
         most=most,
         closed=closed,

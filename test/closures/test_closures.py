@@ -75,7 +75,7 @@ def test_what_contradicts_the_known_pose_is_none_however_well_it_fits(maps):
     far = Known(pose(40.0, 5.0, 178.0), TIGHT)
     candidate = by_place(maps[:2], SETTINGS)[0]
     assert not conceivable(candidate, far) and conceivable(candidate, known(maps, 0, 1, LOOSE))
-    found = find_closures(maps[:2], lambda *_: far, SETTINGS, ODOMETRY, recognise=False)
+    found = find_closures(maps[:2], lambda *_: far, SETTINGS, ODOMETRY, recognise=())
     assert found.closures == () and found.refused == {'improbable': 1} and found.tested == {}
 
 
@@ -127,11 +127,11 @@ def test_a_closure_that_nothing_confirms_is_left_out():
 
 def test_no_more_pairs_are_registered_than_wanted_and_none_twice(maps):
     loose = known(maps, 0, 1, LOOSE)
-    first = find_closures(maps, lambda *_: loose, SETTINGS, ODOMETRY, recognise=False, most=1)
+    first = find_closures(maps, lambda *_: loose, SETTINGS, ODOMETRY, recognise=(), most=1)
     assert first.refused == {LEFT: 1, 'improbable': 1, 'alone': 1} and set(first.tested) == {(1, 2)}
     without = [replace(one, points=np.zeros((0, 3))) for one in maps]
     again = find_closures(
-        without, lambda *_: loose, SETTINGS, ODOMETRY, recognise=False, tested=first.tested, most=0
+        without, lambda *_: loose, SETTINGS, ODOMETRY, recognise=(), tested=first.tested, most=0
     )
     assert again.refused == first.refused and again.tested == first.tested
 
@@ -139,16 +139,16 @@ def test_no_more_pairs_are_registered_than_wanted_and_none_twice(maps):
 def test_what_registration_finds_improbable_is_not_registered_again(maps):
     # Where it lies by its candidate it may be, where registration puts it not.
     tight = known(maps, 0, 1, 1e-4 * TIGHT)
-    first = find_closures(maps[:2], lambda *_: tight, SETTINGS, ODOMETRY, recognise=False)
+    first = find_closures(maps[:2], lambda *_: tight, SETTINGS, ODOMETRY, recognise=())
     assert first.refused == {'improbable': 1} and isinstance(first.tested[1, 2], Closure)
     again = find_closures(
-        maps[:2], lambda *_: tight, SETTINGS, ODOMETRY, recognise=False, tested=first.tested, most=0
+        maps[:2], lambda *_: tight, SETTINGS, ODOMETRY, recognise=(), tested=first.tested, most=0
     )
     assert again.refused == {'improbable': 1}
     # Where what is known is known by the closure itself, it is not asked.
     asked = []
     held = find_closures(
-        maps[:2], lambda *pair: asked.append(pair), SETTINGS, ODOMETRY, recognise=False,
+        maps[:2], lambda *pair: asked.append(pair), SETTINGS, ODOMETRY, recognise=(),
         tested=first.tested, closed={(1, 2)},
     )  # fmt: skip
     assert asked == [] and held.refused == {'alone': 1}
@@ -179,7 +179,7 @@ def test_what_nothing_could_confirm_is_not_registered(monkeypatch, loops):
 
     monkeypatch.setattr(Verifier, 'verify', verify)
     pairs = [(pair.first, pair.second) for pair in by_place(maps, SETTINGS)]
-    found = find_closures(maps, lambda *_: None, SETTINGS, ODOMETRY, recognise=False, once=True)
+    found = find_closures(maps, lambda *_: None, SETTINGS, ODOMETRY, recognise=(), once=True)
     assert found.candidates == len(pairs) > 55
     if loops:  # each of them is confirmed by others
         assert sorted(looked) == sorted(pairs) and len(found.closures) == len(pairs)
@@ -189,7 +189,7 @@ def test_what_nothing_could_confirm_is_not_registered(monkeypatch, loops):
             'alone': len(pairs) - 30,
         }
     looked.clear()
-    find_closures(maps, lambda *_: None, SETTINGS, ODOMETRY, recognise=False)
+    find_closures(maps, lambda *_: None, SETTINGS, ODOMETRY, recognise=())
     assert sorted(looked) == sorted(pairs)  # who goes on with what was tested has all of it
 
 

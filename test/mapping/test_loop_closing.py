@@ -10,7 +10,7 @@ from town import pose, seen_points, town
 
 from incremental_mapper.candidates.model import Cluster, CoreKind, CoreMeasurement
 from incremental_mapper.closures.candidate_pairs import can_recognise
-from incremental_mapper.closures.local_maps import cut_local_maps, cut_way
+from incremental_mapper.closures.local_maps import LocalMap, cut_local_maps, cut_way
 from incremental_mapper.config import Config
 from incremental_mapper.graph.factors import (
     FactorKind,
@@ -115,9 +115,9 @@ def test_what_a_drive_knows_of_its_places(drive):
             stretches, known.clusters, known.scans, values, SETTINGS.closure, wanted=()
         )
         places = KnownPlaces(known.factors, values)
-        assert places.certain(maps, SETTINGS.closure) is certain
+        assert (places.unsure(maps, SETTINGS.closure) == []) is certain
         near = SETTINGS.closure.model_copy(update={'radius': 10.0})
-        assert not places.certain(maps, near)  # neighbours may lie that far apart
+        assert places.unsure(maps, near)  # neighbours may lie that far apart
         marginals = gtsam.Marginals(
             make_graph(factor.factor for factor in known.factors), values
         ).marginalCovariance(pose_key(80))
@@ -125,6 +125,30 @@ def test_what_a_drive_knows_of_its_places(drive):
         plain = (factor.factor for factor in known.factors)
         position = RelativeCovariances(plain, values)
         assert position.position(pose_key(80)) == pytest.approx(expected, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ('sigma', 'among'), [(0.1, set()), (3.0, set()), (9.0, {20, 21, 22, 77, 78, 79})]
+)
+def test_only_what_may_be_one_place_is_compared_by_its_looks(monkeypatch, sigma, among):
+    # There and back on a street 40 m away; fixes hold all of it but three local maps.
+    nothing = np.zeros((0, 3), dtype=np.float32)
+    way = [(20.0 * n, 0.0) for n in range(50)] + [(20.0 * (99 - n), 40.0) for n in range(50, 100)]
+    maps = [
+        LocalMap(n, n, gtsam.Pose3(gtsam.Rot3(), [x, y, 0.0]), 20.0 * n, nothing)
+        for n, (x, y) in enumerate(way)
+    ]
+    sigmas = np.full(len(maps), 0.05)
+    sigmas[20:23] = sigma
+    places = KnownPlaces.__new__(KnownPlaces)
+    monkeypatch.setattr(places, '_positions', lambda _: sigmas)
+    found = set(places.unsure(maps, SETTINGS.closure))
+    assert among <= found and (found == set()) == (among == set())
+    # Those that drifted, what lies within their reach, and nothing further away.
+    reach = 6.0 * (sigma + 0.05) + 10.0
+    for number in found:
+        near = min(np.hypot(*np.subtract(way[number], way[one])) for one in (20, 21, 22))
+        assert near <= max(reach, 6.0 * 2.0 * sigma + 10.0)
 
 
 def test_places_that_fixes_hold_are_not_recognised_by_their_looks(drive):
