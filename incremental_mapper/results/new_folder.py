@@ -120,6 +120,20 @@ def _remove_left(folder: Path) -> None:
         os.close(claim)
 
 
+def obstacle(target: Path) -> str:
+    """Why a folder could not be made now; empty where nothing is known to be in the way.
+
+    Args:
+        target: The folder.
+    """
+    above = target.expanduser().absolute().parent
+    while not above.exists() and above != above.parent:
+        above = above.parent
+    if not above.is_dir():
+        return f'{above} is no folder'
+    return '' if os.access(above, os.W_OK | os.X_OK) else f'{above} cannot be written'
+
+
 def sync_folder(folder: Path) -> None:
     """Wait until a folder's files are on the disk: a robot's power may be cut at any time.
 

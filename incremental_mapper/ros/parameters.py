@@ -1,7 +1,8 @@
 """The settings as ROS parameters: names, types, ranges and descriptions follow the schema."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from enum import StrEnum
+from pathlib import Path
 from typing import Any
 
 from annotated_types import Ge, Gt, Le
@@ -19,6 +20,7 @@ from rclpy.parameter import Parameter
 from incremental_mapper.config import Config, LidarSensor, Tree
 from incremental_mapper.errors import ConfigError
 from incremental_mapper.exports.formats import check_formats
+from incremental_mapper.results.new_folder import obstacle
 from incremental_mapper.settings import make_config, merge, to_tree
 
 CHANGEABLE = (
@@ -62,7 +64,17 @@ class NodeParameters:
             node.undeclare_parameter(name)
         for name, value, descriptor in declarations(self.config):
             node.declare_parameter(name, value, descriptor, ignore_override=True)
+        self._warn = node.get_logger().warning
+        self._look_at_folders(self.config.save.model_fields_set)
         node.add_on_set_parameters_callback(self._on_set)
+
+    def _look_at_folders(self, names: Collection[str]) -> None:
+        """Tell of folders of ``save`` that could not be made now, while it can be mended."""
+        for name in ('folder', 'on_shutdown', 'fallback'):
+            folder = str(getattr(self.config.save, name))
+            why = obstacle(Path(folder)) if folder and name in names else ''
+            if why:
+                self._warn(f'save.{name}: {folder} could not be made now: {why}')
 
     def _on_set(self, parameters: list[Parameter]) -> SetParametersResult:
         changes = {item.name: item.value for item in parameters if item.name in CHANGEABLE}
@@ -70,6 +82,7 @@ class NodeParameters:
             self.config = make_config(merge(to_tree(self.config), nested(changes)), 'parameters')
         except ConfigError as error:
             return SetParametersResult(successful=False, reason=str(error))
+        self._look_at_folders([name.removeprefix('save.') for name in changes])
         return SetParametersResult(successful=True)
 
 

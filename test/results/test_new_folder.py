@@ -8,7 +8,7 @@ import pytest
 
 from incremental_mapper.errors import OutputError
 from incremental_mapper.results import new_folder
-from incremental_mapper.results.new_folder import HiddenFolder, write_folder
+from incremental_mapper.results.new_folder import HiddenFolder, obstacle, write_folder
 from incremental_mapper.results.run_folder import prepared_folder
 
 KILLED = """
@@ -84,3 +84,10 @@ def test_a_folder_with_nothing_but_an_unfinished_file_is_empty(tmp_path):
     (tmp_path / '.notes.partial').touch()
     with pytest.raises(OutputError, match='not empty'), prepared_folder(tmp_path, force=False):
         pass
+
+
+def test_what_is_in_the_way_of_a_folder_is_known_before_it_is_made(tmp_path):
+    (tmp_path / 'file').touch()
+    assert obstacle(tmp_path / 'hall') == obstacle(tmp_path / 'some' / 'hall') == ''
+    assert obstacle(tmp_path / 'file' / 'hall') == f'{tmp_path}/file is no folder'
+    assert not (tmp_path / 'some').exists()

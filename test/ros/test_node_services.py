@@ -281,7 +281,7 @@ def members(folder):
     return Counter(member['sensor'] for item in graph['clusters'] for member in item['members'])
 
 
-def test_folder_of_a_save_may_change_while_the_node_runs(start_node, messages, tmp_path):
+def test_folder_of_a_save_may_change_while_the_node_runs(start_node, messages, tmp_path, capfd):
     session = start_node()
     session.play(part(messages, 0.8))
     session.finish()
@@ -289,7 +289,11 @@ def test_folder_of_a_save_may_change_while_the_node_runs(start_node, messages, t
     for wrong in ('', '/', '..'):
         (answer,) = parameters.set_parameters([Parameter('save.folder', value=wrong)])
         assert not answer.successful and 'save.folder' in answer.reason
+    (tmp_path / 'file').touch()
+    (answer,) = parameters.set_parameters([Parameter('save.folder', value=f'{tmp_path}/file/h')])
+    assert answer.successful  # a disk may come yet
+    assert f'save.folder: {tmp_path}/file/h could not be made now' in capfd.readouterr().err
     (answer,) = parameters.set_parameters([Parameter('save.folder', value=f'{tmp_path}/hall')])
-    assert answer.successful
+    assert answer.successful and 'could not be made' not in capfd.readouterr().err
     assert session.call('save_map') == (True, f'saved to {tmp_path}/hall')
     assert vertices(tmp_path / 'hall') > 0
