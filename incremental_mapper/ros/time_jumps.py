@@ -243,6 +243,9 @@ class JumpFilter:
             return -self._threshold <= stamp - sensor.newest <= slack or sensor.went_on < 3
         if not sensor.away and -self._threshold <= stamp - sensor.newest <= slack:
             return True
+        seldom = 0.0 if sensor.away or sensor.step is None else SLOWER * sensor.step
+        if 0 < stamp - sensor.newest <= seldom and others - stamp > sensor.lag:
+            return True  # sent in time, and held up on the way
         if abs(others - stamp - sensor.lag) <= slack:
             return True
         if abs(others - stamp) > self._threshold:
