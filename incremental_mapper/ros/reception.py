@@ -92,6 +92,7 @@ class Reception:
         self._waiting: list[Taken] = []
         self._held_up = HeldUp()
         self._seen: set[tuple[int, int]] = set()
+        self._doubled = False  # what both had may have been taken when one ended
         self._newest = 0
         self._missing: set[int] = set()
         self._gaps = 0
@@ -125,12 +126,12 @@ class Reception:
         found, self._waiting = self._waiting, []
         for subscription in self._subscriptions.values():
             found += self._drained(subscription)
-        if not self._overlapping and not self._seen:
+        if not (self._overlapping or self._seen or self._doubled):
             self._held_up.take(about for _, about in found)
         taken = [
             Arrived(message, about)
             for message, about in found
-            if not (self._overlapping or self._seen) or self._is_new(about)
+            if not (self._overlapping or self._seen or self._doubled) or self._is_new(about)
         ]
         if taken:
             self._heard, self._hearing = time.monotonic(), bool(self._publishers)
@@ -159,6 +160,7 @@ class Reception:
         passed = time.monotonic() - self._since
         if not self._overlapping:
             if passed >= PATIENCE:
+                self._doubled = False
                 self._seen.clear()
                 self._missing.clear()
             return
@@ -287,6 +289,7 @@ class Reception:
         """End a subscription; what waits in it is taken with the next messages."""
         left = [item for other in self._subscriptions.values() for item in self._drained(other)]
         self._waiting += left
+        self._doubled = True
         self._lost = self.losses().transport
         event = self._events.pop(policy, None)
         if event is not None:

@@ -210,6 +210,21 @@ def test_somebody_who_publishes_best_effort_and_is_not_heard_is_named(listen, mo
     assert listening.reception.findings('gnss') == []  # it was heard, and has nothing to say
 
 
+def test_a_first_message_that_both_subscriptions_hold_when_one_of_them_ends_comes_once(
+    listen, monkeypatch
+):
+    listening = listen()
+    publisher = found_by(listening, listening.publisher(RELIABLE))
+    listening.reception.look()
+    number = listening.send(publisher)
+    time.sleep(0.2)  # it waits in both, and nobody has taken it
+    monkeypatch.setattr(reception, 'OVERLAP', 0.0)
+    listening.reception.look()
+    assert len(listening.reception._subscriptions) == 1
+    listening.spin(0.1)
+    assert listening.numbers == [number]
+
+
 def test_messages_that_were_overwritten_are_counted_with_the_remedy(listen):
     listening = listen(depth=20)
     publisher = found_by(listening, listening.publisher(RELIABLE))
