@@ -26,6 +26,8 @@ from incremental_mapper.ros.lag import Lag
 from incremental_mapper.ros.reception import Losses, Reception, stray_overrides
 
 IMU, GNSS = 'imu', 'gnss'
+MOST_LAYOUTS = 5
+"""Layouts of a LiDAR's clouds that are told of."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +77,7 @@ class Inputs:
         self._hand_on = hand_on
         self._drops: Drops = Counter()
         self._newest: dict[str, int] = {}
+        self._fields: dict[str, set[tuple[tuple[str, int], ...]]] = {}
         self._counted: Counter[str] = Counter()
         self._since = time.monotonic()
         self.moment = 0.0
@@ -168,6 +171,21 @@ class Inputs:
         self.topics[name] = reception.topic
         self.types[name] = f'sensor_msgs/msg/{stream.kind.__name__}'
 
+    def _look_at_fields(self, name: str, message: Any) -> None:
+        """Tell what a LiDAR's clouds hold, at the first one and where that changes."""
+        fields = tuple((field.name, field.datatype) for field in message.fields)
+        known = self._fields.setdefault(name, set())
+        if name not in self._newest:
+            topic = self.topics[name]
+            self._logger.info(f'{name}: first message on {topic}: {describe_times(message)}')
+        elif fields not in known and len(known) < MOST_LAYOUTS:
+            names = ', '.join(word for word, _ in fields)
+            self._logger.warning(
+                f'{name}: clouds with other fields than before ({names}): {describe_times(message)}'
+            )
+        if len(known) < MOST_LAYOUTS:
+            known.add(fields)
+
     def _take_in(self) -> None:
         """Take in all messages that wait, on every topic.
 
@@ -196,9 +214,10 @@ class Inputs:
             self.examples.setdefault((name, error.reason), str(error))
             self._drops[name, error.reason] += 1
             return
-        if name not in self._newest:
-            said = f': {describe_times(message)}' if isinstance(message, PointCloud2) else ''
-            self._logger.info(f'{name}: first message on {self.topics[name]}{said}')
+        if isinstance(message, PointCloud2):
+            self._look_at_fields(name, message)
+        elif name not in self._newest:
+            self._logger.info(f'{name}: first message on {self.topics[name]}')
         self._newest[name] = max(measurement.stamp, self._newest.get(name, 0))
         self._clocks.take(name, measurement.stamp, received)
         self.moment = received / NANOSECONDS

@@ -158,6 +158,24 @@ def test_layout_of_clouds_makes_no_difference_and_faults_are_counted(
     assert_same_graph(tmp_path / 'saved', map_offline(light_bag, bag_parameters(light_bag)))
 
 
+def test_clouds_whose_fields_change_are_told_of_once(start_node, messages, capfd):
+    half = messages[len(messages) // 2].logged
+
+    def unnamed(message):
+        kept = [field for field in message.fields if field.name in 'xyz']
+        message.fields = kept
+        return message
+
+    session = start_node()
+    session.play(
+        item.changed(unnamed) if item.topic == LEFT and item.logged > half else item
+        for item in messages
+    )
+    session.finish()
+    said = [line for line in capfd.readouterr().err.splitlines() if 'other fields' in line]
+    assert len(said) == 1 and 'left: ' in said[0] and '(x, y, z): no time' in said[0]
+
+
 @pytest.mark.parametrize('missing', [IMU, FIX], ids=['no_imu', 'no_gnss'])
 def test_drive_without(start_node, messages, missing):
     session = start_node({'window': {'lateness': 0.3}})
