@@ -30,6 +30,7 @@ from incremental_mapper.mapping.loop_closing import (
     ends,
     find_loops,
 )
+from incremental_mapper.mapping.passed_places import PassedPlaces
 from incremental_mapper.mapping.statistics import MapStatistics
 from incremental_mapper.smoothing.batch import make_graph, optimize
 from incremental_mapper.smoothing.correction import Evidence, evidence_on
@@ -236,7 +237,7 @@ class LiveLoops:
         self.closed = 0
         self._state, self._config, self._runner = state, config, runner
         self._looked = NOT_LOOKED
-        self._places = _Places(config)
+        self._places = PassedPlaces(config)
         self._running = False
         self._wanted = False
         self._corrections = self._failures = 0
@@ -351,58 +352,6 @@ class LiveLoops:
         if self._failures == MOST_FAILED:
             return LoopNews(f'{trouble}; {NO_MORE}', trouble=True)
         return LoopNews(trouble, trouble=True) if self._failures == 1 else None
-
-
-class _Places:
-    """Where the drive has been, a place each ``closure.map_length`` of way."""
-
-    def __init__(self, config: Config) -> None:
-        self._settings = config.closure
-        self._clusters: list[int] = []
-        self._travelled: list[float] = []
-        self._positions = np.zeros((64, 2))
-        self._seen = 0
-        self._way = 0.0
-        self._last: NDArray[np.float64] | None = None
-
-    def look(self, state: GraphState) -> bool:
-        """Whether a new place lies near one that was passed long before."""
-        near = False
-        while self._seen < len(state.clusters):
-            placed = state.clusters[self._seen]
-            if state.in_lag(placed.id):
-                break
-            self._seen += 1
-            here = state.pose(placed.id).translation()
-            self._way += 0.0 if self._last is None else float(np.linalg.norm(here - self._last))
-            self._last = here
-            if self._travelled and self._way - self._travelled[-1] < self._settings.map_length:
-                continue
-            near |= self._near(here[:2])
-            self._add(placed.id, here[:2])
-        return near
-
-    def again(self, state: GraphState) -> None:
-        """After the map has moved."""
-        for place, cluster in enumerate(self._clusters):
-            self._positions[place] = state.pose(cluster).translation()[:2]
-        if self._seen:
-            self._last = state.pose(state.clusters[self._seen - 1].id).translation()
-
-    def _near(self, here: NDArray[np.float64]) -> bool:
-        settings = self._settings
-        latest = self._way - settings.min_travel
-        count = int(np.searchsorted(self._travelled, latest, side='right'))
-        apart = np.linalg.norm(self._positions[:count] - here, axis=1)
-        # Local maps are cut at other places than these: by half of one at both ends.
-        return bool((apart < settings.radius + settings.map_length).any())
-
-    def _add(self, cluster: int, here: NDArray[np.float64]) -> None:
-        if len(self._clusters) == len(self._positions):
-            self._positions = np.vstack([self._positions, np.zeros_like(self._positions)])
-        self._positions[len(self._clusters)] = here
-        self._clusters.append(cluster)
-        self._travelled.append(self._way)
 
 
 def live(config: Config) -> bool:

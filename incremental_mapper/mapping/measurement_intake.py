@@ -9,7 +9,8 @@ from incremental_mapper.mapping.imu_intake import ImuIntake
 from incremental_mapper.mapping.load_shedding import LoadShedding
 from incremental_mapper.mapping.same_stamp import prefer_usable
 from incremental_mapper.mapping.scan_intake import ScanIntake
-from incremental_mapper.mapping.window_buffer import Window, WindowBuffer, joined
+from incremental_mapper.mapping.window import Window, joined
+from incremental_mapper.mapping.window_buffer import WindowBuffer
 from incremental_mapper.measurements import Drops, ImuSample, LidarScan, Measurement
 
 IMU = 'imu'

@@ -8,7 +8,7 @@ from incremental_mapper.checks.finding import Finding
 from incremental_mapper.checks.gaps import PERIODS, SILENCE, Presence, absence_findings, is_uneven
 from incremental_mapper.checks.sensor_clocks import SensorClock
 from incremental_mapper.checks.time_spans import apart_findings
-from incremental_mapper.mapping.window_buffer import Window
+from incremental_mapper.mapping.window import Window
 from incremental_mapper.measurements import NANOSECONDS
 
 _SILENCE = round(SILENCE * NANOSECONDS)

@@ -20,7 +20,7 @@ from incremental_mapper.mapping.imu_watch import ImuWatch
 from incremental_mapper.mapping.mount_watch import MountWatch
 from incremental_mapper.mapping.presence_watch import PresenceWatch
 from incremental_mapper.mapping.range_watch import RangeWatch
-from incremental_mapper.mapping.window_buffer import Window
+from incremental_mapper.mapping.window import Window
 from incremental_mapper.measurements import ImuSample, LidarScan, Measurement
 from incremental_mapper.settings import merge
 from incremental_mapper.smoothing.graph_state import GraphState

@@ -13,19 +13,18 @@ was closed, is late.
 
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterable, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from statistics import median_low
 
 from incremental_mapper.config import WindowSettings
 from incremental_mapper.mapping.first_stamps import FIRST, largest, moments, tell_the_time
 from incremental_mapper.mapping.pace import Pace
+from incremental_mapper.mapping.window import Window
 from incremental_mapper.measurements import (
     NANOSECONDS,
     CoreInput,
     Drops,
     ImuSample,
-    LidarScan,
     Measurement,
 )
 
@@ -49,34 +48,6 @@ MAX_BEHIND = 10 * NANOSECONDS
 it is the first ones that are far ahead."""
 PATIENCE = 3 * NANOSECONDS
 """A buffer that predicts waits so long for sensors that have never sent anything."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Window:
-    """Measurements with start <= stamp < end (ns), each kind in time order.
-
-    Core measurements may be older than ``start`` where they came late but still fit.
-    """
-
-    start: int
-    end: int
-    core: tuple[CoreInput, ...]
-    imu: tuple[ImuSample, ...]
-
-    @property
-    def nbytes(self) -> int:
-        """Memory that its scans take."""
-        return sum(item.nbytes for item in self.core if isinstance(item, LidarScan))
-
-
-def joined(windows: Sequence[Window]) -> Window:
-    """Consecutive windows, at least one, as one."""
-    return Window(
-        start=windows[0].start,
-        end=windows[-1].end,
-        core=tuple(item for window in windows for item in window.core),
-        imu=tuple(item for window in windows for item in window.imu),
-    )
 
 
 class WindowBuffer:

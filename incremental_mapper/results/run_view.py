@@ -22,7 +22,8 @@ from incremental_mapper.results.finished_run import FinishedRun
 from incremental_mapper.selection.choice import Tried
 from incremental_mapper.smoothing.graph_state import GraphState, PlacedScan
 from incremental_mapper.trajectory import Trajectory
-from incremental_mapper.visualization.rerun_scene import RerunScene, ShownCandidate
+from incremental_mapper.visualization.rerun_scene import RerunScene
+from incremental_mapper.visualization.shown_candidates import ShownCandidate
 
 POINTS_OF_A_SCAN = 1200
 """So many points of a scan are shown at most while it is mapped."""

@@ -5,7 +5,6 @@ map, fixes) is logged once and shown for all time before the cursor; the rest is
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -13,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from incremental_mapper.errors import InputError, OutputError
-from incremental_mapper.scoring.score_names import SCORE_NAMES
 from incremental_mapper.visualization.factor_colours import (
     CLUSTER_COLOUR,
     FACTOR_COLOURS,
     POSE_COLOUR,
     PRIOR_COLOUR,
 )
+from incremental_mapper.visualization.shown_candidates import ShownCandidate, table_text
 
 INSTALL = 'pip install "incremental_mapper[view]"'
 APPLICATION = 'incremental_mapper'
@@ -45,23 +44,8 @@ _LOW, _HIGH = -3.0, 12.0
 """Heights above base_link, metres, between which the colours of points run: the road is light, so
 that way and graph are seen on it."""
 _RAMP = np.array([[200, 205, 212], [150, 172, 190], [70, 140, 160], [225, 180, 70], [225, 95, 60]])
-_SHOWN = 12
-"""Candidates in the table of a window, the best of them."""
 Eye: TypeAlias = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Where it is and what it looks at, (3,) each, metres."""
-
-
-@dataclass(frozen=True, slots=True)
-class ShownCandidate:
-    """A candidate of a window; a number that it did not get is None."""
-
-    members: str
-    vertices: int
-    score: float | None
-    time_shift: float
-    solver_error: float | None
-    winner: bool
-    tied: bool | None
 
 
 class RerunScene:
@@ -253,7 +237,7 @@ class RerunScene:
         if len(scores):
             three = [np.nan if winner is None else winner, scores[0], float(np.median(scores))]
             self._log(SCORES, rr.Scalars(three))
-        text = _table(ranked, score_name)
+        text = table_text(ranked, score_name)
         self._log(f'{CANDIDATES}/table', rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
 
     def winner_score(self, score: float) -> None:
@@ -343,37 +327,6 @@ def _blueprint(candidates: bool = True, eye: Eye | None = None) -> Any:
 
 def _other_numbers() -> list[str]:
     return [f'+ /{NUMBERS}/**', f'- /{SCORES}/**']
-
-
-def _table(ranked: Sequence[ShownCandidate], score_name: str) -> str:
-    """The best candidates, and the winner where it is none of them, as Markdown."""
-    if not ranked:
-        return 'no candidates: there was nothing to choose in this window'
-    shown = [item for place, item in enumerate(ranked) if place < _SHOWN or item.winner]
-    lines = [
-        f'{len(ranked)} candidates, score: {SCORE_NAMES.get(score_name, score_name) or "none"}',
-        '',
-        '| | score | % above the lowest | vertices | time shift s | solver error | clusters |',
-        '|---|--:|--:|--:|--:|--:|---|',
-    ]
-    for item in shown:
-        mark = '**winner**' if item.winner else 'ties' if item.tied else ''
-        members = item.members.replace('|', ' / ')
-        lines.append(
-            f'| {mark} | {_number(item.score)} | {_above(item.score, ranked[0].score)} '
-            f'| {item.vertices} | {item.time_shift:.4f} '
-            f'| {_number(item.solver_error)} | {members} |'
-        )
-    return '\n'.join(lines)
-
-
-def _above(score: float | None, lowest: float | None) -> str:
-    """By how many percent a score is above the lowest, which differ in the fourth digit."""
-    return f'{100.0 * (score / lowest - 1.0):.3f}' if score is not None and lowest else ''
-
-
-def _number(value: float | None) -> str:
-    return '' if value is None else f'{value:.5g}'
 
 
 def _colours(heights: NDArray[np.floating]) -> NDArray[np.uint8]:

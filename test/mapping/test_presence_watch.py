@@ -4,7 +4,7 @@ import numpy as np
 
 from incremental_mapper.checks.finding import Severity
 from incremental_mapper.mapping.presence_watch import PresenceWatch
-from incremental_mapper.mapping.window_buffer import Window
+from incremental_mapper.mapping.window import Window
 from incremental_mapper.measurements import ImuSample, LidarScan
 
 NS = 1_000_000_000

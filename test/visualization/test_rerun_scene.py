@@ -10,10 +10,10 @@ from incremental_mapper.errors import InputError, OutputError
 from incremental_mapper.visualization import rerun_scene
 from incremental_mapper.visualization.rerun_scene import (
     RerunScene,
-    ShownCandidate,
     check_rrd,
     load_rerun,
 )
+from incremental_mapper.visualization.shown_candidates import SHOWN, ShownCandidate, table_text
 
 SECOND = 1_000_000_000
 
@@ -39,15 +39,15 @@ def test_file_of_another_suffix_or_in_no_folder_is_refused(tmp_path):
 def test_table_has_the_best_and_the_winner_wherever_it_is():
     some = [candidate(0.01 + 0.001 * number) for number in range(20)]
     winner = candidate(0.5, winner=True, members='left+right')
-    text = rerun_scene._table([*some, winner], 'mom_3')
+    text = table_text([*some, winner], 'mom_3')
     rows = text.splitlines()[4:]
-    assert len(rows) == rerun_scene._SHOWN + 1
+    assert len(rows) == SHOWN + 1
     assert rows[-1].startswith('| **winner** | 0.5 | 4900.000 |') and 'left+right' in rows[-1]
     assert all('left / right' in row for row in rows[:-1])  # a stroke would end the cell
 
 
 def test_window_without_candidates_has_no_empty_table():
-    assert rerun_scene._table([], '') == 'no candidates: there was nothing to choose in this window'
+    assert table_text([], '') == 'no candidates: there was nothing to choose in this window'
 
 
 def test_colours_run_with_the_height_above_the_car():
