@@ -83,7 +83,7 @@ class Drawn:
         count: Those that were drawn away.
         first: Stamp of the first of them, ns.
         most: Metres by which the worst is off.
-        astray: Fixes that are off by more than ``OFF``, whatever became of them.
+        astray: Fixes that are believed less, and off by more than ``OFF``.
     """
 
     looked_at: int = 0
@@ -93,7 +93,7 @@ class Drawn:
     astray: int = 0
 
     def look(self, metres: float) -> None:
-        """Count a fix that is so many metres off."""
+        """Count a fix, and the metres by which it is off if it is believed less."""
         self.looked_at += 1
         self.astray += metres > OFF
 

@@ -125,7 +125,11 @@ class FixPulls:
         """
         off = float(np.hypot(*apart))
         sigma = float(np.sqrt(covariance[:2, :2].max()))
-        self.told.look(off)
+        added = self._added(_Off(stamp, apart), off, noise, sigma)
+        self.told.look(off if added > 0.0 else 0.0)
+        return added
+
+    def _added(self, one: _Off, off: float, noise: float, sigma: float) -> float:
         if off <= SLACK + NOISES * noise:
             self._slipped = False
             # Where a pull ends, what is left of it is within what is known by then.
@@ -135,13 +139,13 @@ class FixPulls:
             return off if doubted else 0.0
         if self._slipped:
             return 0.0
-        self._row.append(_Off(stamp, apart))
+        self._row.append(one)
         if self._alike(SLACK + NOISES * sigma):
             self._slipped = True
             return 0.0
         if len(self._row) >= FEWEST:
-            for one in self._row[-1:] if len(self._row) > FEWEST else self._row:
-                self.told.add(one.stamp, float(np.hypot(*one.apart)))
+            for drawn in self._row[-1:] if len(self._row) > FEWEST else self._row:
+                self.told.add(drawn.stamp, float(np.hypot(*drawn.apart)))
         return WIDER * off
 
     def _alike(self, most: float) -> bool:

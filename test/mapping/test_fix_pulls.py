@@ -77,6 +77,12 @@ def test_a_map_that_knows_little_of_its_place_believes_the_fix():
     assert given == [0.0] and told.count == 0
 
 
+def test_a_receiver_that_says_that_it_errs_by_metres_is_no_error():
+    rng = np.random.default_rng(7)
+    _, told = judged(rng.normal(scale=3.0, size=(60, 2)), noise=3.0)
+    assert told.astray < 0.5 * told.looked_at
+
+
 def test_a_map_is_not_bent_by_fixes_that_are_drawn_aside():
     heading = 1.2
 
