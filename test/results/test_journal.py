@@ -1,6 +1,7 @@
 """Journals: the map that comes of one is the map that was made, less what was not written."""
 
 import contextlib
+import fcntl
 import json
 import os
 import sys
@@ -257,6 +258,20 @@ def test_journal_in_use_is_left_alone(mapped, tmp_path):
     assert journal.path.exists()
     journal.close()
     assert not journal.path.exists(), 'it holds no map'
+
+
+def test_copy_of_a_map_that_is_still_being_made_is_told(mapped, tmp_path):
+    path = tmp_path / 'drive.journal'
+    path.write_bytes(mapped.journal.path.read_bytes())
+    with path.open('rb+') as file:
+        fcntl.lockf(file, fcntl.LOCK_EX)  # as whoever writes it
+        child = os.fork()
+        if child == 0:
+            run = recover_journal(path, tmp_path / 'copy', pictures=False)
+            os._exit(7 if any('still being made' in note for note in run.notes) else 1)
+        assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 7
+    run = recover_journal(path, tmp_path / 'map', pictures=False)
+    assert not any('still being made' in note for note in run.notes)
 
 
 def test_two_journals_of_one_moment_have_two_files(mapped, tmp_path):

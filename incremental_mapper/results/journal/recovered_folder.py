@@ -7,7 +7,7 @@ from pathlib import Path
 from incremental_mapper.checks.outcome import unreadable_findings
 from incremental_mapper.errors import OutputError
 from incremental_mapper.results.draw import draw_folder
-from incremental_mapper.results.journal.recovery import opened, recover
+from incremental_mapper.results.journal.recovery import in_use, opened, recover
 from incremental_mapper.results.new_folder import write_folder
 from incremental_mapper.results.run_folder import is_whole, write_result
 from incremental_mapper.results.run_statistics import RunStatistics
@@ -60,6 +60,8 @@ def recover_journal(
         )
         tree = statistics.to_tree()
         notes = list(found.notes)
+        if not remove and in_use(file):
+            notes.append(f'{path}: its map is still being made; this is what it held by now')
 
         def write(place: Path) -> None:
             try:

@@ -126,6 +126,22 @@ def opened(path: Path, alone: bool) -> Iterator[BinaryIO]:
         yield file
 
 
+def in_use(file: BinaryIO) -> bool:
+    """Whether somebody writes a journal, or recovers and removes it.
+
+    Args:
+        file: It, open for reading.
+    """
+    try:
+        fcntl.lockf(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        fcntl.lockf(file, fcntl.LOCK_UN)
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False  # nobody can tell
+    return False
+
+
 def recover(path: Path, file: BinaryIO) -> Recovered:
     """Make the map of a journal.
 
