@@ -1,9 +1,11 @@
 """What an IMU's accelerations say of their unit, and of gravity in them."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from incremental_mapper.checks.finding import Finding, Severity
 from incremental_mapper.config import Imu
@@ -49,6 +51,8 @@ class Gravity:
         spread: How far the norms scatter, as a share of ``size``.
         direction: Mean direction (3,) in the IMU's frame, of length 1.
         coherence: 1 where all parts have that direction, 0 where they have none in common.
+        lasting: What is left of it where the gyroscope's turns are undone, over ``LATE`` seconds at
+            a time, m/s^2: what sways back and forth is not in it. NaN where it was not looked for.
     """
 
     seconds: float
@@ -56,18 +60,25 @@ class Gravity:
     spread: float
     direction: NDArray[np.float64]
     coherence: float
+    lasting: float = np.nan
 
 
-def measure_gravity(stamps: NDArray[np.int64], acceleration: NDArray[np.float64]) -> Gravity | None:
+def measure_gravity(
+    stamps: NDArray[np.int64],
+    acceleration: NDArray[np.float64],
+    gyro: NDArray[np.float64] | None = None,
+) -> Gravity | None:
     """Summarise some seconds of accelerations; None where there are hardly any.
 
     Args:
         stamps: Of the samples (N,), ns, in time order.
         acceleration: (N, 3), in the IMU's frame.
+        gyro: Rates (N, 3) in the same frame, rad/s, where it is to be told what sways.
     """
     sizes = np.linalg.norm(acceleration, axis=1)
     quiet = sizes <= LOUD * np.median(sizes) if len(sizes) else np.zeros(0, dtype=bool)
     stamps, acceleration = stamps[quiet], acceleration[quiet]
+    gyro = None if gyro is None else gyro[quiet]
     if len(stamps) < 4:
         return None
     number = (stamps - stamps[0]) // PART
@@ -77,14 +88,17 @@ def measure_gravity(stamps: NDArray[np.int64], acceleration: NDArray[np.float64]
     norms = np.linalg.norm(parts, axis=1)
     size = float(np.median(norms))
     low, high = np.percentile(norms, (10.0, 90.0))
+    spread = float(high - low) / max(size, 1e-12)
+    lasting = np.nan if gyro is None or spread < STEADY else _lasting(stamps, acceleration, gyro)
     mean = (parts / np.maximum(norms, 1e-12)[:, None]).mean(axis=0)
     coherence = float(np.linalg.norm(mean))
     return Gravity(
         seconds=len(parts) * PART / NANOSECONDS,
         size=size,
-        spread=float(high - low) / max(size, 1e-12),
+        spread=spread,
         direction=mean / max(coherence, 1e-12),
         coherence=coherence,
+        lasting=lasting,
     )
 
 
@@ -106,6 +120,8 @@ def check_gravity(found: Gravity, settings: Imu, gravity: float) -> Finding | No
         What is wrong, None where nothing is or where it is too early to tell.
     """
     if gravity <= 0.0 or found.seconds < FIRST:
+        return None
+    if _sways(found, gravity):
         return None
     share = found.size / gravity
     if SANE[0] < share < SANE[1]:
@@ -153,6 +169,37 @@ def _unit(found: Gravity, settings: Imu, gravity: float) -> tuple[float, str] | 
     if name == 'g' and not (found.coherence > 0.9 and (upright or _steady(found))):
         return None
     return factor, name
+
+
+def _sways(found: Gravity, gravity: float) -> bool:
+    """Whether all that is beside gravity averages out, as on a mast, a leg or a boat."""
+    return abs(found.lasting / gravity - 1.0) < SMALL
+
+
+def _lasting(
+    stamps: NDArray[np.int64], acceleration: NDArray[np.float64], gyro: NDArray[np.float64]
+) -> float:
+    """Median over blocks of ``LATE`` seconds of the mean force in the axes of their beginnings."""
+    number = (stamps - stamps[0]) // round(LATE * NANOSECONDS)
+    edges = np.searchsorted(number, np.arange(number[-1] + 1))  # the last block is not whole
+    means = [
+        _turned_back(stamps[a:b], gyro[a:b]).apply(acceleration[a:b]).mean(axis=0)
+        for a, b in pairwise(edges.tolist())
+        if b - a > 1
+    ]
+    return float(np.median(np.linalg.norm(means, axis=1))) if means else np.nan
+
+
+def _turned_back(stamps: NDArray[np.int64], gyro: NDArray[np.float64]) -> Rotation:
+    """Rotations T_first_each (N,) by the rates; products are made of pairs, of fours, and so on."""
+    passed = np.diff(stamps, prepend=stamps[0]) / NANOSECONDS
+    turned = Rotation.from_rotvec(passed[:, None] * gyro).as_quat()
+    reach = 1
+    while reach < len(turned):
+        later = Rotation.from_quat(turned[:-reach]) * Rotation.from_quat(turned[reach:])
+        turned[reach:] = later.as_quat()
+        reach *= 2
+    return Rotation.from_quat(turned)
 
 
 def _steady(found: Gravity) -> bool:

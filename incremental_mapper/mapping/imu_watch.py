@@ -142,7 +142,7 @@ class ImuWatch:
         if len(self._samples) == 0:
             return ()
         stamps, gyro, force = self._arrays()
-        found = measure_gravity(stamps, force)
+        found = measure_gravity(stamps, force, gyro)
         finding = None if found is None else check_gravity(found, self._settings, self._gravity)
         # In another unit, or the other way up, even the end of the range would be told wrongly.
         if finding is None:

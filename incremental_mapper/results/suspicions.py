@@ -82,7 +82,7 @@ def _gravity(sample: SensorSample, config: Config) -> Iterator[Finding]:
     """What the IMU's accelerations say of their unit."""
     series = imu_series(sample)
     force = config.imu.acceleration_scale * series.force
-    found = measure_gravity(series.stamps, force)
+    found = measure_gravity(series.stamps, force, config.imu.rate_scale * series.gyro)
     gravity = config.preintegration.gravity
     finding = None if found is None else check_gravity(found, config.imu, gravity)
     if finding is not None:

@@ -77,6 +77,25 @@ def test_a_scale_that_is_somewhat_off_is_told_but_not_used():
     assert found.settings['imu']['acceleration_scale'] == pytest.approx(1 / 1.15, rel=0.05)
 
 
+def on_a_mast(factor=1.0, rate=1.0):
+    """A boat that rolls by 15 degrees once a second, with an IMU 1.7 m above its axis."""
+    t = np.arange(2000) / 100.0
+    roll, sway = np.radians(15.0) * np.sin(2 * np.pi * t), 2 * np.pi
+    rates = np.stack([np.radians(15.0) * sway * np.cos(sway * t), 0.0 * t, 0.0 * t], axis=1)
+    aside, inwards = 1.7 * sway**2 * roll, -1.7 * rates[:, 0] ** 2
+    up = GRAVITY * np.stack([0.0 * t, np.sin(roll), np.cos(roll)], axis=1)
+    force = factor * (up + np.stack([0.0 * t, aside, inwards], axis=1))
+    found = measure_gravity(np.rint(t * 1e9).astype(np.int64), force, rate * rates)
+    return check_gravity(found, Imu(), GRAVITY)
+
+
+def test_a_mast_that_sways_is_no_unit():
+    assert on_a_mast() is None
+    # A unit that is wrong is told all the same, and nothing is excused by rates that are wrong.
+    assert on_a_mast(1.5).rule == 'imu_acceleration_scale'
+    assert on_a_mast(rate=10.0).rule == 'imu_acceleration_scale'
+
+
 def test_hardly_any_samples_say_nothing():
     assert measure_gravity(np.arange(3), np.ones((3, 3))) is None
 
