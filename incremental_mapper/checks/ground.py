@@ -55,13 +55,18 @@ class GroundLook:
 
     Attributes:
         sensor: Name of the LiDAR.
-        height: z of the LiDAR in base_link, metres.
+        place: Of the LiDAR in base_link (3,), metres.
         clouds: Points (N, 3) of each in base_link, metres.
     """
 
     sensor: str
-    height: float
+    place: NDArray[np.float64]
     clouds: Sequence[NDArray[np.floating]]
+
+    @property
+    def height(self) -> float:
+        """Z of the LiDAR in base_link, metres."""
+        return float(self.place[2])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -34,6 +34,8 @@ CLIMB_CHANGE = 1.0
 """m/s^2 by which the climb of a car changes; it crosses a kerb of 0.1 m in a tenth of a second."""
 TURN = 0.15
 """Radians, and share of the way, by which two tracks differ where both are right."""
+LOST = 0.3
+"""Radians of turning that odometry has not seen, after which older members tell no yaw."""
 MEMBERS = 20
 """Newest fixes of a track that tell its yaw."""
 LEVELS = 4
@@ -127,7 +129,7 @@ class Track:
         older = self.members[0], self.members[len(self.members) // 2]
         for member in older:
             apart, _, allowed = self._apart(member, entry, yaw)
-            if apart > allowed:
+            if apart > allowed and _joined(member.entry.place, entry.place):
                 return True
         return False
 
@@ -228,6 +230,8 @@ class Track:
         if len(self.members) < 2:
             return None
         enu, local = self.positions()
+        if len(enu) < 2:
+            return None
         sigma = max(member.entry.sigma for member in self.members)
         far = max(self.min_distance, NOISES * np.sqrt(2.0) * sigma)
         if min(_extent(enu), _extent(local)) < far:
@@ -240,9 +244,14 @@ class Track:
         return self.count, self.members[-1].entry.fix.stamp
 
     def positions(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """The newest fixes (K, 3) around the datum, and the same by odometry, metres."""
-        enu = np.array([member.enu for member in self.members])
-        local = np.array([member.entry.place.position for member in self.members])
+        """The newest fixes (K, 3) around the datum, and the same by odometry, metres.
+
+        Those alone between which odometry was there and kept its heading.
+        """
+        newest = self.members[-1].entry.place
+        known = [one for one in self.members if _joined(one.entry.place, newest)]
+        enu = np.array([member.enu for member in known])
+        local = np.array([member.entry.place.position for member in known])
         return enu, local
 
 
@@ -271,8 +280,15 @@ def _seconds(first: Entry, second: Entry) -> float:
 
 def unseen(first: Place, second: Place) -> float:
     """Metres that the car may have gone otherwise where no scan was matched."""
-    blind = second.blind - first.blind + first.ahead + second.ahead
-    return min(0.5 * ACCELERATION * blind**2, TOP_SPEED * blind)
+    unknown = max(second.unknown - first.unknown, 0.0)
+    blind = second.blind - first.blind + first.ahead + second.ahead + unknown
+    before = min(second.speed, TOP_SPEED) * unknown
+    return min(before + 0.5 * ACCELERATION * blind**2, TOP_SPEED * blind)
+
+
+def _joined(first: Place, second: Place) -> bool:
+    """Whether odometry tells where the second place lies as seen from the first."""
+    return first.unknown == second.unknown and second.lost - first.lost < LOST
 
 
 def _allowed(first: Entry, second: Entry, noise: float) -> float:

@@ -25,6 +25,10 @@ class Place:
         loose: Variance of the way since the start, m^2, where the scans held matches weakly.
         looser: The sum of the deviations there, metres, which is what it is off if all of them err
             to one side.
+        unknown: Seconds since the beginning for which there was no motion to go on with: the first
+            scans came later.
+        speed: The first motion's, m/s, which the car may have had then; infinite before that.
+        lost: Radians that the car has turned, or not, where the last motion went on.
     """
 
     stamp: int
@@ -35,6 +39,9 @@ class Place:
     ahead: float
     loose: float
     looser: float
+    unknown: float = 0.0
+    speed: float = np.inf
+    lost: float = 0.0
 
 
 class OdometryTrack:
@@ -60,6 +67,12 @@ class OdometryTrack:
         self._blind = 0.0
         self._loose = 0.0
         self._looser = 0.0
+        self._lost = 0.0
+        # Deviations of the last motion where its match was held weakly, m and m/s.
+        self._weak, self._unsure = 0.0, 0.0
+        self._began: int | None = None
+        self._unknown: float | None = None  # until there is a motion
+        self._speed = np.inf
 
     @property
     def stamp(self) -> int | None:
@@ -76,16 +89,20 @@ class OdometryTrack:
         sensor, stamp = scan.core.sensor, scan.core.stamp
         if self._stamp is None:
             self._stamp = stamp
+            self._began = stamp if self._began is None else self._began
         known = self._scans.get(sensor)
         if known is not None and known[0] == scan.previous:
             before, pose = known
             assert scan.T_previous_current is not None
             if self._leader in ('', sensor) or self._stamp <= before:
                 self._lead(sensor, before, stamp, pose, scan.T_previous_current)
+                self._weak, self._unsure = 0.0, 0.0
                 if scan.covariance is not None and weak_directions(scan.covariance):
                     weakest = float(np.linalg.eigvalsh(scan.covariance[3:, 3:])[-1])
                     self._loose += weakest
-                    self._looser += float(np.sqrt(weakest))
+                    self._weak = float(np.sqrt(weakest))
+                    self._looser += self._weak
+                    self._unsure = self._weak / ((stamp - before) / NANOSECONDS)
         elif sensor == self._leader:
             self._leader = ''
         if scan.usable:
@@ -95,16 +112,25 @@ class OdometryTrack:
         self, sensor: str, before: int, stamp: int, pose: gtsam.Pose3, motion: gtsam.Pose3
     ) -> None:
         """Go on with a LiDAR's motion from its scan ``before`` at ``pose``."""
-        assert self._stamp is not None
-        self._blind += max(before - self._stamp, 0) / NANOSECONDS
+        assert self._stamp is not None and self._began is not None
+        blind = max(before - self._stamp, 0) / NANOSECONDS
+        self._blind += blind
+        self._loose += self._variance(blind)
+        self._looser += self._unsure * blind
+        self._lost += blind * float(np.linalg.norm(self._twist[:3]))
         there = pose.compose(motion)
         self._way += float(np.linalg.norm(there.translation() - self._pose.translation()))
         self._twist = gtsam.Pose3.Logmap(motion) / ((stamp - before) / NANOSECONDS)
         self._pose, self._stamp, self._leader = there, stamp, sensor
+        if self._unknown is None:
+            self._unknown = (before - self._began) / NANOSECONDS
+            self._speed = float(np.linalg.norm(self._twist[3:]))
 
     def at(self, stamp: int) -> Place:
         """The antenna at a stamp, not before the newest scan."""
         ahead = 0.0 if self._stamp is None else max(stamp - self._stamp, 0) / NANOSECONDS
+        self._began = stamp if self._began is None else self._began
+        unknown = (stamp - self._began) / NANOSECONDS if self._unknown is None else self._unknown
         pose = self._at(stamp)
         return Place(
             stamp=stamp,
@@ -113,9 +139,17 @@ class OdometryTrack:
             way=self._way + ahead * float(np.linalg.norm(self._twist[3:])),
             blind=self._blind,
             ahead=ahead,
-            loose=self._loose,
-            looser=self._looser,
+            loose=self._loose + self._variance(ahead),
+            looser=self._looser + self._unsure * ahead,
+            unknown=unknown,
+            speed=self._speed,
+            lost=self._lost + ahead * float(np.linalg.norm(self._twist[:3])),
         )
+
+    def _variance(self, seconds: float) -> float:
+        """What the way's variance grows by where the last motion goes on: its error goes on too."""
+        further = self._unsure * seconds
+        return (2.0 * self._weak + further) * further
 
     def _at(self, stamp: int) -> gtsam.Pose3:
         if self._stamp is None:

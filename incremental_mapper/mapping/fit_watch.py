@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from incremental_mapper.checks.finding import Finding
 from incremental_mapper.checks.ground import GroundLook, ground_findings
 from incremental_mapper.checks.outcome import Outcome
+from incremental_mapper.checks.planar_scanner import planar_findings
 from incremental_mapper.checks.residuals import fit_findings
 from incremental_mapper.config import Config
 from incremental_mapper.frontend.match_noise import WEAK
@@ -24,7 +25,7 @@ from incremental_mapper.mapping.judgement import (
     bends,
     causes,
     judged,
-    lidar_height,
+    lidar_place,
     matches,
     motions,
     moving,
@@ -174,12 +175,12 @@ class FitWatch:
         if any(len(clouds) < CLOUDS for clouds in self._clouds.values()):
             return []
         looks = [
-            GroundLook(sensor, lidar_height(self.config, sensor), list(clouds))
+            GroundLook(sensor, lidar_place(self.config, sensor), list(clouds))
             for sensor, clouds in self._clouds.items()
         ]
         self._clouds = {}
         self._looks += 1
-        return ground_findings(looks)
+        return ground_findings(looks) + planar_findings(looks)
 
 
 def _values(state: GraphState, factors: Iterable[Factor]) -> gtsam.Values:

@@ -21,6 +21,7 @@ from incremental_mapper.checks.motions import (
     distance_findings,
     motion_findings,
 )
+from incremental_mapper.checks.planar_scanner import planar_findings
 from incremental_mapper.checks.residuals import Residuals, fit_findings
 from incremental_mapper.checks.speed import speed_findings
 from incremental_mapper.config import Config, MatchNoise
@@ -172,14 +173,14 @@ def ground_looks(scans: Sequence[PlacedScan], config: Config) -> list[GroundLook
     for sensor, own in sorted(by_sensor.items()):
         places = np.unique(np.linspace(0, len(own) - 1, CLOUDS).astype(int))
         clouds = [own[place].points for place in places]
-        looks.append(GroundLook(sensor, lidar_height(config, sensor), clouds))
+        looks.append(GroundLook(sensor, lidar_place(config, sensor), clouds))
     return looks
 
 
-def lidar_height(config: Config, sensor: str) -> float:
-    """Z of a LiDAR in base_link, metres."""
+def lidar_place(config: Config, sensor: str) -> NDArray[np.float64]:
+    """Position of a LiDAR in base_link (3,), metres."""
     lidar = config.lidars.get(sensor)
-    return 0.0 if lidar is None else float(lidar.matrix()[2, 3])
+    return np.zeros(3) if lidar is None else lidar.matrix()[:3, 3]
 
 
 def judge_map(state: GraphState, values: gtsam.Values, config: Config) -> list[Finding]:
@@ -208,6 +209,7 @@ def _judge(state: GraphState, values: gtsam.Values, config: Config) -> list[Find
     fit += bends(factors, values, first, config)
     placed = sorted(state.clusters, key=lambda item: item.cluster.stamp)
     fixes = track(state.fixes)
+    looks = ground_looks(state.scans, config)
     return [
         *speed_findings(
             np.array([item.cluster.stamp for item in placed], dtype=np.int64),
@@ -215,7 +217,8 @@ def _judge(state: GraphState, values: gtsam.Values, config: Config) -> list[Find
         ),
         *distance_findings(driven, fixes),
         *_distrusted(state, values),
-        *ground_findings(ground_looks(state.scans, config)),
+        *ground_findings(looks),
+        *planar_findings(looks),
         *causes(fit, moving(driven, fixes)),
     ]
 

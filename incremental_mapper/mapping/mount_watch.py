@@ -74,7 +74,7 @@ class MountWatch:
     def _look(self, name: str, mount: _Mount) -> list[Finding]:
         if not mount.moves:
             return []
-        ground = see_ground(GroundLook(name, 0.0, mount.clouds[-CLOUDS:]))
+        ground = see_ground(GroundLook(name, np.zeros(3), mount.clouds[-CLOUDS:]))
         if ground is None:
             return []
         force = self._force if self._force.any() else None

@@ -8,6 +8,7 @@ from incremental_mapper.checks.finding import Severity
 from incremental_mapper.checks.ground import GroundLook, ground_findings
 
 HEIGHT = 1.9
+PLACE = np.array([0.0, 0.0, HEIGHT])
 
 
 def street(seed=0, ground=1500, walls=900):
@@ -25,12 +26,12 @@ def street(seed=0, ground=1500, walls=900):
 def look(sensor='left', turn=None, lift=0.0, clouds=5, **options):
     """What a LiDAR shows whose extrinsics are wrong by a turn about itself and by a lift."""
     rotation = Rotation.identity() if turn is None else Rotation.from_euler(*turn, degrees=True)
-    place = np.array([0.0, 0.0, HEIGHT])
+    place = PLACE
     shown = [
         rotation.apply(street(seed, **options) - place) + place + [0.0, 0.0, lift]
         for seed in range(clouds)
     ]
-    return GroundLook(sensor, HEIGHT + lift, shown)
+    return GroundLook(sensor, np.array([0.0, 0.0, HEIGHT + lift]), shown)
 
 
 def test_sound_lidars_see_one_level_ground():
@@ -74,7 +75,7 @@ def test_under_a_ceiling_nothing_is_upside_down():
     random = np.random.default_rng(3)
     hall = random.uniform(-15, 15, (2000, 3))
     hall[:, 2] = np.where(random.random(2000) < 0.7, 3.0, 0.0)
-    assert ground_findings([GroundLook('top', HEIGHT, [hall] * 5)]) == []
+    assert ground_findings([GroundLook('top', PLACE, [hall] * 5)]) == []
 
 
 def test_a_tilted_single_lidar():
@@ -87,11 +88,11 @@ def test_walls_and_few_points_tell_nothing():
     alley = look('top', ground=100, walls=1500)
     assert ground_findings([alley]) == []
     assert ground_findings([look('top', ('x', 90), ground=40, walls=20)]) == []
-    assert ground_findings([GroundLook('top', HEIGHT, [])]) == []
-    assert ground_findings([GroundLook('top', HEIGHT, [np.zeros((0, 3))] * 5)]) == []
+    assert ground_findings([GroundLook('top', PLACE, [])]) == []
+    assert ground_findings([GroundLook('top', PLACE, [np.zeros((0, 3))] * 5)]) == []
 
 
 def test_rough_land_tells_nothing():
     random = np.random.default_rng(4)
     land = [random.normal(0.0, 4.0, (2000, 3)) for _ in range(5)]
-    assert ground_findings([GroundLook('top', HEIGHT, land)]) == []
+    assert ground_findings([GroundLook('top', PLACE, land)]) == []

@@ -24,7 +24,7 @@ def street(height=1.8):
 
 def look(mount, height=1.8):
     clouds = [mount.inv().apply(street(height)).astype(np.float32) for _ in range(4)]
-    return see_ground(GroundLook('front', 0.0, clouds))
+    return see_ground(GroundLook('front', np.zeros(3), clouds))
 
 
 def moves(mount, way=(1.0, 0.0, 0.0), count=20):

@@ -358,3 +358,71 @@ def test_a_step_where_odometry_is_interrupted_may_be_a_cut(unmatched):
         drive.fix(i, float(i), np.array([0.0, 40.0 * (i > 24), 0.0]))
     (step,) = [one for one in drive.gate.findings() if one.rule == 'datum_step']
     assert step.severity is (Severity.ERROR if unmatched else Severity.WARNING)
+
+
+def test_fixes_from_before_the_first_scan_are_held_against_no_odometry():
+    """A LiDAR takes 20 s to start, and the car has driven off."""
+    drive = Drive()
+    drive.scans = 200
+    for i in range(34):
+        drive.fix(i, i, np.zeros(3))
+    assert set(drive.used) == set(range(34)) and not drive.gone and not drive.rules()
+    assert not drive.doubtful and off_datum(drive) < 0.1
+    # A fix that no car has driven to is refused all the same.
+    drive.fix(34, 34, np.array([30.0, 30.0, 0.0]))
+    assert 34 in drive.refused
+
+
+def test_fixes_before_the_first_scan_may_jump_no_further_than_a_car_drives():
+    drive = Drive()
+    drive.scans = 200
+    for i in range(30):
+        drive.fix(i, i, np.array([0.0, 100.0, 0.0]) if i < 3 else np.zeros(3))
+    assert drive.rules() and drive.doubtful
+
+
+def seen_by_halves(drive, shift, deviation):
+    """Let every second match fail, and the others read a shift aside, and say how weakly."""
+    for number in range(1, 60):
+        stamp = START + number * NANOSECONDS // 10
+        core = CoreMeasurement(stamp, 'left', CoreKind.LIDAR)
+        nowhere, before = np.zeros((1, 3)), stamp - NANOSECONDS // 10
+        if number % 2:
+            scan = PreparedScan(core, nowhere, nowhere, None, None)
+        else:
+            motion = gtsam.Pose3(gtsam.Rot3(), np.array([0.0, shift, 0.0]))
+            covariance = np.diag([1e-6, 1e-6, 1e-6, 0.01, deviation**2, 0.01])
+            scan = PreparedScan(core, nowhere, nowhere, before, motion, covariance=covariance)
+        drive.gate.scan(scan)
+        if number % 10 == 0:
+            drive.scans = number + 1
+            drive.fix(number // 10, number / 10, np.zeros(3))
+    return drive
+
+
+def test_a_weak_match_that_goes_on_errs_for_as_long_as_it_goes_on():
+    """A LiDAR in a field reads 0.9 m aside from scan to scan of a car that stands."""
+    drive = seen_by_halves(Drive(speed=0.0), 0.9, 0.55)
+    assert set(drive.used) == set(range(1, 6)) and not drive.doubtful
+    # Where it says that it is sure, fixes and odometry contradict each other.
+    assert seen_by_halves(Drive(speed=0.0), 0.9, 0.05).doubtful
+
+
+def test_a_heading_that_odometry_has_lost_condemns_no_fix():
+    """A boat rolls and yaws, and every second half of a second no scan is matched."""
+    drive = Drive(speed=3.0)
+    for number in range(1, 301):
+        stamp = START + number * NANOSECONDS // 10
+        core = CoreMeasurement(stamp, 'left', CoreKind.LIDAR)
+        nowhere, before = np.zeros((1, 3)), stamp - NANOSECONDS // 10
+        if number % 10 < 5:
+            # What it turns here it turns back while nothing is seen.
+            motion = gtsam.Pose3(gtsam.Rot3.Yaw(0.15 if number % 10 == 4 else 0.0), [0.3, 0, 0])
+            scan = PreparedScan(core, nowhere, nowhere, before, motion)
+        else:
+            scan = PreparedScan(core, nowhere, nowhere, None, None)
+        drive.gate.scan(scan)
+        if number % 10 == 0:
+            drive.scans = number + 1
+            drive.fix(number // 10, number / 10, np.zeros(3))
+    assert len(drive.used) == 30 and not drive.refused and not drive.doubtful
