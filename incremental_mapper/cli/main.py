@@ -9,7 +9,7 @@ from importlib import import_module
 
 from incremental_mapper import __version__
 from incremental_mapper.cli import exit_status
-from incremental_mapper.errors import MapperError
+from incremental_mapper.errors import ConfigError, MapperError
 from incremental_mapper.garbage import search_little
 
 COMMANDS = {
@@ -68,6 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         try:
             args = make_parser(words[0] if words else None).parse_args(words)
             args.words = words  # evaluate writes down what it was called with
+            _refuse_bytes(words)
             status: int = args.func(args)
         finally:
             sys.stdout.flush()  # here, and not by the interpreter's end, which would complain
@@ -84,6 +85,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     finally:
         _end(arguments)
     return status
+
+
+def _refuse_bytes(words: Sequence[str]) -> None:
+    """Raise where a name is no text: files of the run that name it could not be written."""
+    for word in words:
+        try:
+            word.encode()
+        except UnicodeEncodeError:
+            shown = word.encode(errors='backslashreplace').decode()
+            raise ConfigError(
+                f'{shown}: is no text in {sys.getfilesystemencoding()}, as the files of a run are; '
+                'rename it, or set LC_ALL to a locale with UTF-8, such as C.UTF-8'
+            ) from None
 
 
 def _close_output() -> None:

@@ -3,6 +3,7 @@
 import csv
 import json
 import logging
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
@@ -194,7 +195,7 @@ class FinishedRun:
             if any(self.folder.glob(f'*{JOURNAL}')):
                 raise InputError(
                     f'{self.folder}: holds journals of maps that were cut off and no map; '
-                    f'"incremental_mapper recover {self.folder}" makes maps of them'
+                    f'"incremental_mapper recover {shlex.quote(str(self.folder))}" makes maps of them'
                 )
             raise InputError(f'{self.folder}: is no output of "incremental_mapper map" ({what})')
         if name not in self._looked_at:

@@ -1,5 +1,6 @@
 """A drive that is ready to be mapped: its opened input, and the settings that it is mapped with."""
 
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -80,7 +81,7 @@ def _looked_at(drive: Drive) -> Drive:
     files = ' and '.join(dict.fromkeys(choice.file for choice in seen.start))
     note = (
         f'no settings are given; a look at the sensors chose {said}, as in {files} '
-        f'("incremental_mapper check {drive.source.info.path}" says why)'
+        f'("incremental_mapper check {shlex.quote(str(drive.source.info.path))}" says why)'
     )
     notes = (note,) if seen.start else ()
     return replace(

@@ -35,6 +35,17 @@ def start(*words):
     return process
 
 
+def test_a_name_that_is_no_text_is_refused_before_anything_is_mapped(tmp_path, capsys):
+    """A folder named in Latin 1: a file of the run could not be written after all was mapped."""
+    named = os.fsdecode(os.fsencode(tmp_path) + b'/M\xe4rz')
+    out = str(tmp_path / 'out')
+    for words in (['map', named, out], ['map', out, named], ['check', out, '--write', named]):
+        assert main(words) == exit_status.FAILURE
+        (line,) = capsys.readouterr().err.splitlines()
+        assert 'M\\udce4rz' in line and 'rename' in line
+    assert not list(tmp_path.iterdir())
+
+
 def test_refused_input_is_one_line_and_status_1(tmp_path):
     done = run('map', tmp_path / 'none', tmp_path / 'out')
     assert done.returncode == 1

@@ -10,6 +10,7 @@ import fcntl
 import json
 import logging
 import os
+import shlex
 import threading
 import time
 from collections.abc import Sequence
@@ -194,7 +195,7 @@ class Journal:
         if not self.holds_map:
             return ''
         part = f'the first {self.windows} windows of the map are' if self.missing else 'the map is'
-        return f'; {part} in its journal: "incremental_mapper recover {self.path}" makes its files'
+        return f'; {part} in its journal: "incremental_mapper recover {shlex.quote(str(self.path))}" makes its files'
 
     def close(self) -> None:
         """End it: what was written reaches the disk, and a file without a map goes."""
