@@ -193,9 +193,10 @@ class FinishedRun:
         if not path.is_file():
             what = 'no such folder' if not self.folder.is_dir() else f'{name} is missing'
             if any(self.folder.glob(f'*{JOURNAL}')):
+                command = f'incremental_mapper recover {shlex.quote(str(self.folder))}'
                 raise InputError(
                     f'{self.folder}: holds journals of maps that were cut off and no map; '
-                    f'"incremental_mapper recover {shlex.quote(str(self.folder))}" makes maps of them'
+                    f'"{command}" makes maps of them'
                 )
             raise InputError(f'{self.folder}: is no output of "incremental_mapper map" ({what})')
         if name not in self._looked_at:

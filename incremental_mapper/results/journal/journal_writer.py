@@ -195,7 +195,8 @@ class Journal:
         if not self.holds_map:
             return ''
         part = f'the first {self.windows} windows of the map are' if self.missing else 'the map is'
-        return f'; {part} in its journal: "incremental_mapper recover {shlex.quote(str(self.path))}" makes its files'
+        command = f'incremental_mapper recover {shlex.quote(str(self.path))}'
+        return f'; {part} in its journal: "{command}" makes its files'
 
     def close(self) -> None:
         """End it: what was written reaches the disk, and a file without a map goes."""
