@@ -23,6 +23,8 @@ Pair: TypeAlias = tuple[int, int]
 Tested: TypeAlias = Mapping[Pair, Closure | str]
 """What registration has led to for pairs of local maps of one drive."""
 NOT_TESTED: Tested = {}
+BARREN = 20
+"""So many candidates in a row that were no closures, and every second local map is passed over."""
 LEFT = 'left_for_later'
 """Why a pair is no closure yet: as many as were wanted were registered before it."""
 
@@ -87,7 +89,7 @@ def find_closures(
     leading = {id(one) for one in (*_leading(candidates), *_leading(looks))}
     waiting: list[Candidate] = []
     for candidate in sorted((*candidates, *looks), key=in_order):
-        if once and id(candidate) not in leading:
+        if once and (id(candidate) not in leading or looking.passes_over(candidate)):
             waiting.append(candidate)
         else:
             looking.look(candidate)
@@ -124,8 +126,15 @@ class _Looking:
         self.known_pairs, self.registrations = dict(tested), dict(tested)
         self.refused: Counter[str] = Counter()
         self.best: dict[tuple[int, int], Closure] = {}
-        self.tried = self._registered = 0
+        self.tried = self._registered = self._barren = 0
         self._recent: list[Closure] = []
+
+    def passes_over(self, candidate: Candidate) -> bool:
+        """Whether a candidate waits until one beside it is a closure: none was for a long way.
+
+        Two at least must agree, of different local maps, so each place has one that does not wait.
+        """
+        return self._barren >= BARREN and candidate.second % 2 == 1
 
     def look(self, candidate: Candidate) -> None:
         """Find out whether a candidate is a closure."""
@@ -151,7 +160,9 @@ class _Looking:
                 self.known_pairs[names] = outcome
         if isinstance(outcome, str):
             self.refused[outcome] += 1
+            self._barren += 1
         else:
+            self._barren = 0
             found = replace(outcome, first=candidate.first, second=candidate.second)
             self.best[pair] = found
             self._recent.append(found)
