@@ -182,11 +182,13 @@ def report(heard: Heard, rows: NDArray[np.float64], zero: float) -> None:
         [when - zero - update.newest.stamp / NANOSECONDS for when, update, _ in heard.poses]
     )
     searching = np.array([busy for _, _, busy in heard.poses])
+    # The last one waits for what would follow, until somebody ends the drive.
+    late, searching = late[:-1], searching[:-1]
     print(f'{len(ends)} poses; from the stamp of a pose to the pose')
     print(f'  while a search goes on: {quantiles(late[searching])}')
     print(f'  while none does:        {quantiles(late[~searching])}')
     windows = {item.newest.stamp: item.result.end for _, item in heard.windows if item.newest}
-    stamps = [update.newest.stamp for _, update, _ in heard.poses]
+    stamps = [update.newest.stamp for _, update, _ in heard.poses[:-1]]
     waited = np.array([(windows[stamp] - stamp) / NANOSECONDS for stamp in stamps])
     print('of that, from the end of its window to the pose')
     print(f'  while a search goes on: {quantiles((late - waited)[searching])}')

@@ -15,7 +15,13 @@ from incremental_mapper.closures.candidate_pairs import (
 )
 from incremental_mapper.closures.consistency import NEIGHBOURHOOD, consistent_set
 from incremental_mapper.closures.local_maps import LocalMap
-from incremental_mapper.closures.verification import Closure, Verifier, conceivable, probable
+from incremental_mapper.closures.verification import (
+    IMPROBABLE,
+    Closure,
+    Verifier,
+    conceivable,
+    probable,
+)
 from incremental_mapper.config import ClosureSettings, OdometrySettings
 
 Pair: TypeAlias = tuple[int, int]
@@ -150,17 +156,18 @@ class _Looking:
             if outcome is None and conceivable(candidate, known):
                 if self._registered < self._most:
                     self._registered += 1
+                    self._barren += 1
                     outcome = self._verifier.verify(candidate, known, self._once)
                     self.registrations[names] = outcome
                 else:
                     outcome = LEFT
             if outcome is None or (isinstance(outcome, Closure) and not probable(outcome, known)):
-                outcome = 'improbable'  # by looks it may lie elsewhere, so it may be tried again
-            elif outcome != LEFT:
+                outcome = IMPROBABLE
+            # By looks it may lie elsewhere than by its place, so it may be tried again.
+            elif outcome not in (LEFT, IMPROBABLE):
                 self.known_pairs[names] = outcome
         if isinstance(outcome, str):
             self.refused[outcome] += 1
-            self._barren += 1
         else:
             self._barren = 0
             found = replace(outcome, first=candidate.first, second=candidate.second)
@@ -177,6 +184,7 @@ class _Looking:
         Returns:
             Those that still wait; what is too far back to be confirmed is counted.
         """
+        waiting = [one for one in waiting if (one.first, one.second) not in self.best]
         if not waiting:
             return []
         maps = self._maps

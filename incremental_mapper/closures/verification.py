@@ -33,8 +33,10 @@ FEWEST = 200
 UNCERTAIN = 4.0
 """Factor on the covariance of what is known: after minutes without fixes published variances are a
 quarter of the squared error (``benchmarks/published_covariance.py``)."""
-IMPROBABLE = 22.5
+MOST_DISTANCE = 22.5
 """Squared Mahalanobis distance that one in a thousand exceeds, with six degrees of freedom."""
+IMPROBABLE = 'improbable'
+"""Why a candidate is none that what is known speaks against."""
 GUESS = np.diag(np.square([0.1, 0.1, 0.1, 3.0, 3.0, 3.0]))
 """Covariance of where a candidate lies: registration takes it from there."""
 KEPT = 20
@@ -107,7 +109,7 @@ class Verifier:
         covariance = floor if covariance is None else covariance + floor
         found = Closure(candidate.first, candidate.second, pose, covariance, overlap)
         if once and not probable(found, known):
-            return 'improbable'
+            return IMPROBABLE
         back = _matched(second.scan, first.scan, pose.inverse(), reaches[-1:])
         if back is None or not _same(back.inverse(), pose):
             return 'one_way'
@@ -136,7 +138,7 @@ def conceivable(candidate: Candidate, known: Known | None) -> bool:
         candidate: It.
         known: What is known; None is nothing.
     """
-    return known is None or _distance(known, candidate.T_first_second, GUESS) <= IMPROBABLE
+    return known is None or _distance(known, candidate.T_first_second, GUESS) <= MOST_DISTANCE
 
 
 def probable(closure: Closure, known: Known | None) -> bool:
@@ -148,7 +150,7 @@ def probable(closure: Closure, known: Known | None) -> bool:
     """
     if known is None:
         return True
-    return _distance(known, closure.T_first_second, closure.covariance) <= IMPROBABLE
+    return _distance(known, closure.T_first_second, closure.covariance) <= MOST_DISTANCE
 
 
 def _reaches(known: Known | None) -> tuple[float, ...]:
