@@ -244,8 +244,8 @@ class JumpFilter:
         if not sensor.away and -self._threshold <= stamp - sensor.newest <= slack:
             return True
         seldom = 0.0 if sensor.away or sensor.step is None else SLOWER * sensor.step
-        if 0 < stamp - sensor.newest <= seldom and others - stamp > sensor.lag:
-            return True  # sent in time, and held up on the way
+        if 0 < stamp - sensor.newest <= seldom and stamp - others <= self._threshold:
+            return True  # at its own pace, and held up on the way, or no longer
         if abs(others - stamp - sensor.lag) <= slack:
             return True
         if abs(others - stamp) > self._threshold:
