@@ -75,11 +75,9 @@ class EarlierMap:
                 replace(result, findings=ranked([*result.findings, self.apart(True)])), facts
             )
         before = self.run.result
-        again = measured_twice(before, result)
-        if again:
-            return Whole(
-                replace(result, findings=ranked([*result.findings, self._repeated(again)])), facts
-            )
+        if again := measured_twice((before, result)):
+            told = ranked([*result.findings, self._repeated(again[-1])])
+            return Whole(replace(result, findings=told), facts)
         counts = Counter(self.run.counts)
         counts.update(facts.counts)
         notes = (*facts.notes, f'goes on from {self.run.folder}')

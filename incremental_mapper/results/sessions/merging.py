@@ -107,12 +107,12 @@ def read_fleet(folders: Sequence[Path]) -> Fleet:
         T_first_run = between_datums(first, _datum(run))
         _require_near(run, runs[0], T_first_run.translation())
         parts.append(alone(turned(run.result, T_first_run, config), str(run.folder)))
-    for one, other in combinations(range(len(runs)), 2):
-        if same := measured_twice(parts[one], parts[other]):
-            raise InputError(
-                f'{runs[other].folder}: is the same drive as {runs[one].folder} ({same} fixes have '
-                'the same stamps and places); a drive enters a joint map once'
-            )
+    if same := measured_twice(parts):
+        one, other, fixes = same
+        raise InputError(
+            f'{runs[other].folder}: is the same drive as {runs[one].folder} ({fixes} fixes have '
+            'the same stamps and places); a drive enters a joint map once'
+        )
     return Fleet(tuple(runs), tuple(parts), first, config)
 
 

@@ -1,5 +1,8 @@
 """Sessions that are one drive: twice the same measurements tell nothing new, and count double."""
 
+from collections import Counter
+from collections.abc import Sequence
+
 import numpy as np
 
 from incremental_mapper.graph.factors import FactorKind
@@ -12,19 +15,29 @@ SHARE = 0.5
 Recordings that were split with a second in both are not."""
 
 
-def measured_twice(first: MapResult, second: MapResult) -> int:
-    """How many fixes of two sessions are the same; 0 where these are two drives.
+def measured_twice(sessions: Sequence[MapResult]) -> tuple[int, int, int] | None:
+    """Two sessions that are one drive; None where all of them are different ones.
 
     Args:
-        first: A session.
-        second: Another one, in the same frame.
+        sessions: In one frame.
+
+    Returns:
+        Their places among the sessions, and how many of their fixes are the same.
     """
-    one, other = _places(first), _places(second)
-    same = sum(
-        bool(np.linalg.norm(one[stamp] - other[stamp]) < SAME)
-        for stamp in one.keys() & other.keys()
-    )
-    return same if same and same >= SHARE * min(len(one), len(other)) else 0
+    fixes = [_places(session) for session in sessions]
+    same: Counter[tuple[int, int]] = Counter()
+    seen: dict[int, list[int]] = {}
+    for number, own in enumerate(fixes):
+        for stamp, place in own.items():
+            before = seen.setdefault(stamp, [])
+            for other in before:
+                if np.linalg.norm(fixes[other][stamp] - place) < SAME:
+                    same[other, number] += 1
+            before.append(number)
+    for (one, other), count in same.items():
+        if count >= SHARE * min(len(fixes[one]), len(fixes[other])):
+            return one, other, count
+    return None
 
 
 def _places(session: MapResult) -> dict[int, np.ndarray]:
