@@ -17,7 +17,11 @@ BYTES = 4
 
 
 class SharedRows:
-    """Rows of 32-bit integers, of which there may be more with time."""
+    """Rows of 32-bit integers, of which there may be more with time.
+
+    To the system they are a file. Where it lets no file become that large (``ulimit -f``) they go
+    on in memory that is not shared, which costs time and nothing else.
+    """
 
     def __init__(self, columns: int) -> None:
         """Have none yet.
@@ -27,6 +31,8 @@ class SharedRows:
         """
         self._columns = columns
         self._memory: mmap.mmap | None = None
+        self._count = 0
+        self._own: NDArray[np.int32] | None = None
 
     def grown(self, count: int) -> NDArray[np.int32]:
         """The rows, and new ones of zeros behind them.
@@ -37,9 +43,23 @@ class SharedRows:
         Returns:
             All of them (N, columns); arrays that were returned before must not be used any more.
         """
-        size = BYTES * max(count * self._columns, 1)
-        self._memory = self._resized(size)
-        whole = np.frombuffer(self._memory, dtype=np.int32, count=count * self._columns)
+        before, self._count = self._count, count
+        if self._own is None:
+            try:
+                self._memory = self._resized(BYTES * max(count * self._columns, 1))
+                return self._of(self._memory, count)
+            except OSError:
+                held = None if self._memory is None else self._of(self._memory, before)
+        else:
+            held = self._own
+        self._own = np.zeros((count, self._columns), dtype=np.int32)
+        if held is not None:
+            self._own[:before] = held
+        self._memory = None
+        return self._own
+
+    def _of(self, memory: mmap.mmap, count: int) -> NDArray[np.int32]:
+        whole = np.frombuffer(memory, dtype=np.int32, count=count * self._columns)
         return whole.reshape(count, self._columns)
 
     def _resized(self, size: int) -> mmap.mmap:
