@@ -37,6 +37,10 @@ has 19), and no drive here of over 0.3 s has more than 5."""
 NO_GRAVITY = 0.35
 """Median of the norms as a share of gravity, below which gravity was removed. Of the drives here
 without it, it is 0.01 to 0.09; no car accelerates with 0.35 g for long."""
+LEVELLED = 0.1
+"""m/s^2/sqrt(Hz); density that accelerations have at least without gravity: of an attitude that is
+2 degrees off they have 0.3 m/s^2 too much. Over bends ATE is 0.033 m with 0.1 and 0.034 m with 0.3
+(0.172 m with 0.02)."""
 UNITS = {9.80665: 'g', 0.00980665: 'milli-g', 0.01: 'cm/s^2'}
 """What makes m/s^2 of other units."""
 
@@ -147,9 +151,10 @@ def check_gravity(found: Gravity, settings: Imu, gravity: float) -> Finding | No
             'imu',
             f'gravity was taken out of the accelerations: {found.size:.2f} m/s^2 over '
             f'{found.seconds:.1f} s',
-            'no gravity is expected in them, so the map is levelled less well; '
-            'preintegration.gravity: 0',
-            {'preintegration': {'gravity': 0.0}},
+            'no gravity is expected in them, so the map is levelled less well; they are believed '
+            'less, for the attitude errs by which it was taken out; preintegration.gravity: 0, '
+            f'preintegration.accelerometer_noise: {LEVELLED:g}',
+            {'preintegration': {'gravity': 0.0, 'accelerometer_noise': LEVELLED}},
         )
     return _off_scale(found, settings, gravity)
 

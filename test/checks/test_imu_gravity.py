@@ -50,7 +50,8 @@ def test_accelerations_without_gravity_are_used_without_it():
 
     found = check(3.0, without)
     assert (found.rule, found.severity) == ('imu_without_gravity', Severity.MENDED)
-    assert found.settings == {'preintegration': {'gravity': 0.0}}
+    less = {'gravity': 0.0, 'accelerometer_noise': 0.1}
+    assert found.settings == {'preintegration': less}
     assert check(3.0, without, gravity=0.0) is None
     assert check(1.0, without) is None  # half a second of it may be anything
 
