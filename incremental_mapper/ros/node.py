@@ -93,6 +93,13 @@ class MapperNode:
         cli_args: list[str] | None = None,
         parameter_overrides: list[Parameter] | None = None,
     ) -> None:
+        """Make the node and its worker; nothing is received before ``spin``.
+
+        Args:
+            context: rclpy's, which was initialised; None takes the default one.
+            cli_args: as on the command line, such as ``['--ros-args', '-p', 'graph.lag:=5.0']``.
+            parameter_overrides: the same as rclpy's parameters.
+        """
         self._context = context or rclpy.get_default_context()
         self.node = Node(
             NODE_NAME,
