@@ -29,20 +29,28 @@ class SharedRows:
         Args:
             columns: Of each row.
         """
-        self._columns = columns
+        self._columns, self._count = columns, 0
         self._memory: mmap.mmap | None = None
         self._count = 0
         self._own: NDArray[np.int32] | None = None
 
-    def grown(self, count: int) -> NDArray[np.int32]:
-        """The rows, and new ones of zeros behind them.
+    def rows(self) -> NDArray[np.int32]:
+        """All rows (N, columns); to be let go of before there are more."""
+        if self._memory is None:
+            return np.empty((0, self._columns), dtype=np.int32)
+        numbers = np.frombuffer(self._memory, dtype=np.int32, count=self._count * self._columns)
+        return numbers.reshape(self._count, self._columns)
+
+    def grow(self, count: int) -> bool:
+        """Add rows of zeros behind those that there are.
 
         Args:
-            count: How many there are now (N); not fewer than before.
+            count: How many there are then; not fewer than before.
 
         Returns:
-            All of them (N, columns); arrays that were returned before must not be used any more.
+            Whether it could be done: a limit on the size of files holds for such memory, too.
         """
+<<<<<<< HEAD
         before, self._count = self._count, count
         if self._own is None:
             try:
@@ -61,6 +69,14 @@ class SharedRows:
     def _of(self, memory: mmap.mmap, count: int) -> NDArray[np.int32]:
         whole = np.frombuffer(memory, dtype=np.int32, count=count * self._columns)
         return whole.reshape(count, self._columns)
+=======
+        try:
+            self._memory = self._resized(BYTES * max(count * self._columns, 1))
+        except OSError:
+            return False
+        self._count = count
+        return True
+>>>>>>> 03a6f6c (A limit on the size of files costs the voxels that a node shows nothing: they are then in memory of the usual kind)
 
     def _resized(self, size: int) -> mmap.mmap:
         memory = self._memory
@@ -76,9 +92,12 @@ class SharedRows:
 
 
 def shared_zeros(count: int) -> NDArray[np.int32]:
-    """Zeros (N,) in memory that a fork shares.
+    """Zeros (N,) in memory that a fork shares, where the system has such.
 
     Args:
         count: How many.
     """
-    return np.frombuffer(mmap.mmap(-1, BYTES * count), dtype=np.int32)
+    try:
+        return np.frombuffer(mmap.mmap(-1, BYTES * count), dtype=np.int32)
+    except OSError:
+        return np.zeros(count, dtype=np.int32)

@@ -165,9 +165,20 @@ class VoxelGrid:
         self._next: NDArray[np.int32] | None = None
         self._entered = self._touched = 0  # of the voxels and the slots, in the next table
         # A voxel's numbers lie side by side: what takes time is fetching them from memory.
-        empty = np.empty((room, 8), dtype=np.int32)
-        self._cells = empty if self._rows is None else self._rows.grown(room)
+        self._cells = np.empty((room, 8), dtype=np.int32)
+        if self._rows is not None:
+            self._share(self._rows, room)
         self._marks = np.empty(room if self._marked else 0, dtype=np.int32)
+
+    def _share(self, rows: SharedRows, room: int) -> None:
+        """Take so many cells in memory that forks share, or else in memory that they copy."""
+        self._cells = np.empty((0, 8), dtype=np.int32)
+        if rows.grow(room):
+            self._cells = rows.rows()
+            return
+        self._rows, before = None, rows.rows()
+        self._cells = np.empty((room, 8), dtype=np.int32)
+        self._cells[: len(before)] = before
 
     def _new_table(self, room: int) -> NDArray[np.int32]:
         """A table where half of the slots or more stay free with so many voxels; 0 is a free one.
@@ -187,8 +198,7 @@ class VoxelGrid:
             if self._rows is None:
                 self._cells.resize((room, 8), refcheck=False)
             else:
-                self._cells = np.empty((0, 8), dtype=np.int32)
-                self._cells = self._rows.grown(room)
+                self._share(self._rows, room)
             if self._marked:
                 self._marks.resize(room, refcheck=False)
         while self._next is not None or 2 * wanted > len(self._table):
