@@ -17,11 +17,7 @@ BYTES = 4
 
 
 class SharedRows:
-    """Rows of 32-bit integers, of which there may be more with time.
-
-    To the system they are a file. Where it lets no file become that large (``ulimit -f``) they go
-    on in memory that is not shared, which costs time and nothing else.
-    """
+    """Rows of 32-bit integers, of which there may be more with time."""
 
     def __init__(self, columns: int) -> None:
         """Have none yet.
@@ -31,8 +27,6 @@ class SharedRows:
         """
         self._columns, self._count = columns, 0
         self._memory: mmap.mmap | None = None
-        self._count = 0
-        self._own: NDArray[np.int32] | None = None
 
     def rows(self) -> NDArray[np.int32]:
         """All rows (N, columns); to be let go of before there are more."""
@@ -50,33 +44,12 @@ class SharedRows:
         Returns:
             Whether it could be done: a limit on the size of files holds for such memory, too.
         """
-<<<<<<< HEAD
-        before, self._count = self._count, count
-        if self._own is None:
-            try:
-                self._memory = self._resized(BYTES * max(count * self._columns, 1))
-                return self._of(self._memory, count)
-            except OSError:
-                held = None if self._memory is None else self._of(self._memory, before)
-        else:
-            held = self._own
-        self._own = np.zeros((count, self._columns), dtype=np.int32)
-        if held is not None:
-            self._own[:before] = held
-        self._memory = None
-        return self._own
-
-    def _of(self, memory: mmap.mmap, count: int) -> NDArray[np.int32]:
-        whole = np.frombuffer(memory, dtype=np.int32, count=count * self._columns)
-        return whole.reshape(count, self._columns)
-=======
         try:
             self._memory = self._resized(BYTES * max(count * self._columns, 1))
         except OSError:
             return False
         self._count = count
         return True
->>>>>>> 03a6f6c (A limit on the size of files costs the voxels that a node shows nothing: they are then in memory of the usual kind)
 
     def _resized(self, size: int) -> mmap.mmap:
         memory = self._memory

@@ -5,7 +5,6 @@ import resource
 
 import numpy as np
 import pytest
-from full_disk import largest_file
 
 from incremental_mapper.map.shared_rows import SHARED, SharedRows, shared_zeros
 from incremental_mapper.map.voxel_grid import VoxelGrid
@@ -42,20 +41,6 @@ def test_a_fork_writes_into_the_same_memory():
     assert row.tolist() == [[7, 7]] and zeros.tolist() == [7, 7]
 
 
-<<<<<<< HEAD
-@pytest.mark.parametrize('first', [0, 10])
-def test_rows_go_on_in_own_memory_where_no_file_may_become_that_large(first):
-    rows, expected = SharedRows(3), np.arange(3 * 10, dtype=np.int32).reshape(10, 3)
-    if first:
-        rows.grown(first)[:] = expected
-    with largest_file(4096):
-        more = rows.grown(2000)
-        assert more.shape == (2000, 3) and not more[first:].any()
-        more[first : first + 1] = 7
-    again = rows.grown(5000)
-    assert np.array_equal(again[:first], expected[:first])
-    assert (again[first] == 7).all() and not again[first + 1 :].any()
-=======
 @pytest.mark.parametrize('bytes_', [1000, 200_000])
 def test_a_limit_on_the_size_of_files_costs_a_grid_nothing(bytes_):
     points = (np.arange(60_000, dtype=np.float32).reshape(-1, 3) * 0.5).astype(np.float32)
@@ -70,4 +55,3 @@ def test_a_limit_on_the_size_of_files_costs_a_grid_nothing(bytes_):
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert np.array_equal(grid.points(), wanted.points())
->>>>>>> 03a6f6c (A limit on the size of files costs the voxels that a node shows nothing: they are then in memory of the usual kind)
