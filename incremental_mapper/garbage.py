@@ -8,13 +8,26 @@ their own; whoever imports the package keeps Python's way.
 """
 
 import gc
-from typing import Any
+import signal
+import sys
+import threading
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from sys import UnraisableHookArgs
+
+AGAIN = 0.01
+"""Seconds after which an interrupt that met a search comes again."""
 
 
 def search_little() -> None:
-    """From now on, leave out of a full search what has outlived one; for a program of its own."""
+    """From now on, leave out of a full search what has outlived one; for a program of its own.
+
+    A Ctrl-C that comes just then is handed on: Python drops what is raised within a search.
+    """
     if _after_search not in gc.callbacks:
         gc.callbacks.append(_after_search)
+        sys.unraisablehook = _hand_on
 
 
 def search_all() -> None:
@@ -35,3 +48,15 @@ def set_aside() -> None:
 def _after_search(phase: str, about: dict[str, Any]) -> None:
     if phase == 'stop' and about['generation'] == 2:
         gc.freeze()
+
+
+def _hand_on(dropped: 'UnraisableHookArgs') -> None:
+    if dropped.exc_type is KeyboardInterrupt:
+        threading.Timer(AGAIN, _interrupt_again).start()
+    else:
+        sys.__unraisablehook__(dropped)
+
+
+def _interrupt_again() -> None:
+    # To the main thread itself: it may sleep.
+    signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)

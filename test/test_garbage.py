@@ -1,6 +1,8 @@
 """Python's search for garbage: what outlived it is left alone, and nothing is kept for ever."""
 
 import gc
+import subprocess
+import sys
 import weakref
 from collections.abc import Iterator
 
@@ -20,8 +22,10 @@ class Held:
 @pytest.fixture
 def little() -> Iterator[None]:
     """Search little, and leave this process as it was."""
+    before = sys.unraisablehook
     search_little()
     yield
+    sys.unraisablehook = before
     gc.callbacks.remove(garbage._after_search)
     gc.unfreeze()
 
@@ -68,3 +72,32 @@ def test_without_it_the_search_is_python_s_own() -> None:
     search_all()
     set_aside()
     assert gc.get_freeze_count() == 0
+
+
+INTERRUPTED = """
+import gc, time
+from incremental_mapper.garbage import search_little
+
+search_little()
+times = iter([KeyboardInterrupt])
+
+
+def interrupt(phase, about):
+    for one in times:
+        raise one  # as where Ctrl-C comes within a search
+
+
+gc.callbacks.append(interrupt)
+try:
+    gc.collect()
+    time.sleep(30.0)
+except KeyboardInterrupt:
+    print("interrupted")
+"""
+
+
+def test_an_interrupt_that_meets_a_search_ends_the_program_all_the_same() -> None:
+    done = subprocess.run(
+        [sys.executable, '-c', INTERRUPTED], capture_output=True, text=True, timeout=20
+    )
+    assert (done.stdout, done.stderr) == ('interrupted\n', '')
