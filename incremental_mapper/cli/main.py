@@ -46,6 +46,7 @@ def make_parser(command: str | None = None) -> argparse.ArgumentParser:
     for name, (module, what) in COMMANDS.items():
         if name == command:
             import_module(f'incremental_mapper.cli.{module}').add_parser(subparsers)
+            subparsers.choices[name].set_defaults(usage_of=subparsers.choices[name])
         else:
             subparsers.add_parser(name, help=what)
     return parser
@@ -66,7 +67,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         search_little()
     try:
         try:
-            args = make_parser(words[0] if words else None).parse_args(words)
+            args, unknown = make_parser(words[0] if words else None).parse_known_args(words)
+            if unknown:  # the usage of the command says more than that of the program
+                args.usage_of.error(f'unrecognized arguments: {" ".join(unknown)}')
             args.words = words  # evaluate writes down what it was called with
             _refuse_bytes(words)
             status: int = args.func(args)

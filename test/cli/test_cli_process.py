@@ -65,6 +65,14 @@ def test_wrong_usage_is_status_2(words, capsys):
     assert 'usage: incremental_mapper' in capsys.readouterr().err
 
 
+def test_an_option_that_a_command_does_not_have_shows_those_that_it_has(capsys):
+    with pytest.raises(SystemExit) as stopped:
+        main(['map', 'a', 'b', '--set', 'window.duration=0.3'])
+    assert stopped.value.code == 2
+    told = capsys.readouterr().err
+    assert '--config YAML' in told and 'arguments: --set window.duration=0.3' in told
+
+
 @pytest.mark.parametrize('words', [('--help',), ('map', '--help')])
 def test_help_is_status_0(words, capsys):
     with pytest.raises(SystemExit) as stopped:
