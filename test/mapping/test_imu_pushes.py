@@ -1,5 +1,7 @@
 """Samples that gather a speed which no match knows of are doubted, and no others."""
 
+from dataclasses import replace
+
 import gtsam
 import numpy as np
 import pytest
@@ -71,6 +73,23 @@ def test_a_push_is_doubted_while_it_lasts(pushed):
 
 def test_a_car_that_turns_and_speeds_up_is_believed():
     assert len(doubted(samples([0.0, 0.0, 0.0], 0.0, 0.0))) == 0
+
+
+@pytest.mark.parametrize(('sigma', 'accused'), [(0.065, False), (0.01, True)])
+def test_matches_that_slip_and_know_it_accuse_nobody(sigma, accused):
+    series, pushes, found = samples([0.0, 0.0, 0.0], 0.0, 0.0), ImuPushes(np.eye(4)), 0
+    for number in range(1, len(series.stamps) // 10):
+        sound = match(number, np.eye(6) * 0.01**2)
+        slipped = number in (50, 51)
+        if slipped:
+            motion = sound.T_previous_current
+            further = gtsam.Pose3(motion.rotation(), motion.translation() + [0.4, 0.0, 0.0])
+            sound = replace(
+                sound, T_previous_current=further, covariance=np.diag([1e-6] * 3 + [sigma**2] * 3)
+            )
+        taken = pushes.take(series.part(10 * number - 10, 10 * number + 1), [sound])
+        found += int((taken.all_doubts() > 0.0).sum())
+    assert (found > 0) is accused
 
 
 def test_an_imu_that_stands_on_its_side_is_held_against_its_own_place():
