@@ -84,6 +84,7 @@ class Drawn:
         first: Stamp of the first of them, ns.
         most: Metres by which the worst is off.
         astray: Fixes that are believed less, and off by more than ``OFF``.
+        farthest: Metres by which the worst of these is off.
     """
 
     looked_at: int = 0
@@ -91,11 +92,13 @@ class Drawn:
     first: int = 0
     most: float = 0.0
     astray: int = 0
+    farthest: float = 0.0
 
     def look(self, metres: float) -> None:
         """Count a fix, and the metres by which it is off if it is believed less."""
         self.looked_at += 1
         self.astray += metres > OFF
+        self.farthest = max(self.farthest, metres)
 
     def add(self, stamp: int, metres: float) -> None:
         """Count one that is drawn away by so many metres."""
@@ -193,18 +196,22 @@ def drawn_away(sensor: str, drawn: Drawn) -> tuple[Finding, ...]:
         ``gnss_drift``, an error where most fixes are metres off: then nobody knows where the map
         is; nothing where they are few and near.
     """
-    if drawn.count < DRAWN or drawn.most < FAR_DRAWN:
+    lost = drawn.astray > max(MOST * drawn.looked_at, DRAWN)
+    if not lost and (drawn.count < DRAWN or drawn.most < FAR_DRAWN):
         return ()
     severity = Severity.WARNING if drawn.count > MOST * drawn.looked_at else Severity.MENDED
-    if drawn.astray > MOST * drawn.looked_at:
+    if lost:
         severity = Severity.ERROR
+    count = max(drawn.count, drawn.astray if lost else 0)
+    since = f', the first at {drawn.first}' if drawn.first else ''
     return (
         Finding(
             'gnss_drift',
             severity,
             sensor,
-            f'{drawn.count} of {drawn.looked_at} fixes are drawn up to {_metres(drawn.most)} away '
-            f'from where those before them, matches and IMU put them, the first at {drawn.first}: '
+            f'{count} of {drawn.looked_at} fixes are drawn up to '
+            f'{_metres(max(drawn.most, drawn.farthest if lost else 0.0))} away '
+            f'from where those before them, matches and IMU put them{since}: '
             'reflections between houses, or a reference that wanders',
             'they are believed less; if the receiver is right, scan matching is wrong there',
         ),

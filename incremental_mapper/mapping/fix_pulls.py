@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from incremental_mapper.checks.fixes import Drawn
 from incremental_mapper.frontend.front_end import Prepared, PreparedFix
+from incremental_mapper.frontend.match_noise import weak_directions
+from incremental_mapper.frontend.prepared_scan import PreparedScan
 from incremental_mapper.graph.window_inputs import WindowInputs
 from incremental_mapper.mapping.joining import antenna_covariance
 from incremental_mapper.measurements import NANOSECONDS
@@ -57,6 +59,8 @@ class FixPulls:
         self._newest = 0
         self._row: list[_Off] = []  # fixes one after the other that are off
         self._slipped = False
+        # Metres by LiDAR that weak matches may have leant since a fix was believed.
+        self._leaning: dict[str, float] = {}
 
     def look(
         self, items: Sequence[Prepared], state: GraphState, inputs: WindowInputs
@@ -77,6 +81,8 @@ class FixPulls:
         known: NDArray[np.float64] | None = None
         made = list(items)
         for place, item in enumerate(items):
+            if isinstance(item, PreparedScan):
+                self._lean(item)
             if not isinstance(item, PreparedFix) or item.core.stamp <= self._newest:
                 continue
             if item.doubtful:
@@ -84,11 +90,24 @@ class FixPulls:
             self._newest = item.core.stamp
             known = antenna_covariance(state, newest, self._arm) if known is None else known
             apart, noise = self._beside(item, state, inputs, known[:2, :2])
+            # All weak matches may be off to one side, which the graph takes for noise.
+            noise += min(self._leaning.values(), default=0.0) / NOISES
             doubt = self.doubt(item.core.stamp, apart, noise, item.covariance)
+            if not self._row:
+                self._leaning.clear()
             if doubt > 0.0:
                 wider = np.diag([doubt**2, doubt**2, 0.0])
                 made[place] = replace(item, covariance=item.covariance + wider)
         return None if all(one is other for one, other in zip(made, items, strict=True)) else made
+
+    def _lean(self, scan: PreparedScan) -> None:
+        """Add what the match of a scan may be off where others are off to the same side."""
+        if scan.covariance is None or scan.T_previous_current is None:
+            return
+        weak = bool(weak_directions(scan.covariance))
+        off = np.sqrt(np.linalg.eigvalsh(scan.covariance[3:, 3:])[-1]) if weak else 0.0
+        sensor = scan.core.sensor
+        self._leaning[sensor] = self._leaning.get(sensor, 0.0) + float(off)
 
     def _beside(
         self,

@@ -2,13 +2,16 @@
 
 from dataclasses import replace
 
+import gtsam
 import numpy as np
 import pymap3d
 import pytest
 from test_georeferencing import ARM, DATUM, EPOCH, SECOND, drive, mapped, truth
 
+from incremental_mapper.candidates.model import CoreKind, CoreMeasurement
 from incremental_mapper.checks.finding import Severity
 from incremental_mapper.checks.fixes import Drawn, drawn_away
+from incremental_mapper.frontend.prepared_scan import PreparedScan
 from incremental_mapper.mapping.fix_pulls import FixPulls
 from incremental_mapper.measurements import GnssFix
 
@@ -52,6 +55,30 @@ def test_a_reference_that_wanders_on_is_never_believed_again():
     given, told = judged([(0.2 * max(second - 4, 0), 0.0) for second in range(60)], grows=0.0)
     assert all(given[8:])
     assert [one.severity for one in drawn_away('gnss', told)] == [Severity.ERROR]
+
+
+def test_most_fixes_metres_off_are_an_error_however_they_came_to_be_believed_less():
+    """One by one, with believed ones between, they made no row and were not told of."""
+    told = Drawn()
+    for number in range(12):
+        told.look(20.0 if number % 4 else 0.0)
+    (finding,) = drawn_away('gnss', told)
+    assert finding.severity is Severity.ERROR and '9 of 12' in finding.text
+    assert '20.0 m' in finding.text and 'the first' not in finding.text
+
+
+def test_weak_matches_may_lean_as_far_as_the_best_lidar_may_be_off():
+    """LiDARs that saw 90 degrees ahead: sound fixes were 5.7 m from the map."""
+    pulls, nowhere = FixPulls(np.zeros(3)), np.zeros((1, 3))
+    weak = np.diag([1e-6, 1e-6, 1e-6, 1e-4, 0.3**2, 1e-4])
+    for number in range(1, 6):
+        stamp = EPOCH + number * SECOND // 10
+        for sensor, covariance in (('left', weak), ('right', 4.0 * weak), ('third', None)):
+            core = CoreMeasurement(stamp, sensor, CoreKind.LIDAR)
+            before, motion = stamp - SECOND // 10, gtsam.Pose3()
+            scan = PreparedScan(core, nowhere, nowhere, before, motion, covariance=covariance)
+            pulls._lean(scan)
+    assert pulls._leaning == pytest.approx({'left': 1.5, 'right': 3.0})
 
 
 def test_single_fixes_and_small_ones_are_not_told():
