@@ -13,6 +13,7 @@ the normalised errors of every axis beside the normal distribution.
 
 import argparse
 import itertools
+from collections import deque
 from pathlib import Path
 from typing import Any
 
@@ -28,12 +29,14 @@ from incremental_mapper.frontend.front_end import FrontEnd
 from incremental_mapper.frontend.match_noise import carried
 from incremental_mapper.frontend.prepared_scan import PreparedScan
 from incremental_mapper.graph.factors import pose_sigmas
-from incremental_mapper.measurements import LidarScan
+from incremental_mapper.measurements import NANOSECONDS, ImuSample, LidarScan
 from incremental_mapper.results.opened_drive import effective_config
 from incremental_mapper.settings import make_config, merge, read_yaml
 from incremental_mapper.trajectory import Trajectory
 
 AXES = ('roll', 'pitch', 'yaw', 'x', 'y', 'z')
+SLACK = 0.5
+"""Seconds after a scan by which the IMU has passed the end of its sweep."""
 
 
 def matched(drive: Path, tree: dict[str, Any]) -> tuple[list[PreparedScan], Trajectory]:
@@ -42,12 +45,24 @@ def matched(drive: Path, tree: dict[str, Any]) -> tuple[list[PreparedScan], Traj
     truth = source.truth()
     if truth is None:
         raise SystemExit(f'{drive}: has no truth')
-    end = FrontEnd(effective_config(source, tree, str(drive)))
-    found = []
+    has_imu = any(isinstance(item, ImuSample) for item in source.measurements())
+    end = FrontEnd(effective_config(source, tree, str(drive)), imu_expected=has_imu)
+    waiting: deque[LidarScan] = deque()
+    found: list[PreparedScan] = []
+
+    def prepare(until: float) -> None:
+        while waiting and waiting[0].stamp <= until:
+            prepared = end.prepare((waiting.popleft(),))
+            found.extend(item for item in prepared if isinstance(item, PreparedScan))
+
     for measurement in source.measurements():
-        if isinstance(measurement, LidarScan):
-            prepared = end.prepare((measurement,))
-            found += [item for item in prepared if isinstance(item, PreparedScan)]
+        if isinstance(measurement, ImuSample):
+            end.imu(measurement)
+        elif isinstance(measurement, LidarScan):
+            end.begin(measurement)
+            waiting.append(measurement)
+        prepare(measurement.stamp - SLACK * NANOSECONDS)
+    prepare(np.inf)
     end.close()
     return found, truth
 

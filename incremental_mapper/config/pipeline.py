@@ -87,7 +87,7 @@ class OdometrySettings(Section):
     each direction; constant gives all of them the sigmas below, as do those of kiss_icp."""
     covariance_scale: float = Field(default=25.0, gt=0.0, le=1e6)
     """hessian: factor on the least-squares covariance of a match, whose points are not independent
-    and whose errors are much alike from scan to scan."""
+    and whose errors are much alike from scan to scan. Directions that are held weakly have more."""
     floor_translation: Sigma = 0.005
     """hessian: standard deviation in metres that a match has at the least, each axis."""
     floor_rotation: Sigma = 0.0005

@@ -62,6 +62,35 @@ def test_what_a_wall_leaves_open_is_told_in_the_frame_of_the_current_scan():
     assert variances[-1] > 100.0 * variances[-2]
 
 
+def test_noise_of_the_ground_is_no_hold():
+    def rough(rng):
+        points = ground(rng)
+        points[:, 2] = rng.normal(scale=0.06, size=len(points)) - 2.0
+        return points
+
+    found = sigmas(match(rough, STEP, covariance_scale=2.5).covariance)
+    assert (found[[3, 4]] > 0.3).all()
+
+
+def test_an_error_along_the_ground_lifts_and_tilts_a_match_by_a_part_of_it():
+    held, bare = (
+        sigmas(match(scene, STEP, covariance_scale=2.5).covariance)
+        for scene in (lambda rng: room(seed=int(rng.integers(99))), ground)
+    )
+    assert (bare[[0, 1, 5]] > 0.01 * bare[3] * np.array([0.08, 0.08, 1.0])).all()
+    assert (bare[[0, 1, 5]] > 2.0 * held[[0, 1, 5]]).all()
+
+
+def test_points_on_one_line_tell_nothing_of_turns_about_it():
+    def line(rng):
+        return np.column_stack([rng.uniform(-20.0, 20.0, 3000), np.zeros((3000, 2))])
+
+    covariance = match(line, STEP, covariance_scale=2.5).covariance
+    assert np.isfinite(covariance).all()
+    assert np.linalg.eigvalsh(covariance)[0] > 0.0
+    assert sigmas(covariance)[0] > 0.5
+
+
 def test_scale_and_floor_are_those_of_the_settings():
     plain, floor = {'floor_rotation': 1e-9, 'floor_translation': 1e-9}, np.array([0.002, 0.02])
     once, twice, higher = (
