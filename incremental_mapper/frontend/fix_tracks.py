@@ -294,7 +294,7 @@ def _joined(first: Place, second: Place) -> bool:
 def _allowed(first: Entry, second: Entry, noise: float) -> float:
     """Metres by which two fixes may disagree with odometry."""
     way = second.place.way - first.place.way
-    by_chance = NOISES * np.sqrt(second.place.loose - first.place.loose)
+    by_chance = NOISES * np.sqrt(max(second.place.loose - first.place.loose, 0.0))
     # Weak matches may all lean to one side. LiDARs that saw 90 degrees of a bend made sound fixes
     # doubtful after 12 s: ATE 5.8 m, and 0.02 m with the fixes.
     loose = max(float(by_chance), second.place.looser - first.place.looser)
