@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from incremental_mapper.config import MatchNoise, OdometrySettings
 
-WEAK_TRANSLATION, WEAK_ROTATION = 0.1, 0.02
+WEAK_TRANSLATION, WEAK_ROTATION = 0.13, 0.026
 """Standard deviations of a match, metres and radians, from which on a direction is weak."""
 WEAK = 'held weakly in some direction'
 """The note under which such matches are counted."""
