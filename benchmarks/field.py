@@ -71,6 +71,8 @@ SLACK = 0.02
 """Metres of ATE beyond the factor, and ..."""
 LEANING = 1.0
 """... degrees of the vertical beyond the unharmed drive's, that a good map may have."""
+WRONG = 1.0
+"""Metres of ATE from which a map is wrong, whatever is said of it: exit status 0 is not for it."""
 FORKS = multiprocessing.get_context('forkserver')
 FORKS.set_forkserver_preload([Path(__file__).stem])
 PATIENCE = 900.0
@@ -222,7 +224,8 @@ def judge(lie: Lie, outcome: Outcome, unharmed: Outcome) -> str:
         return FINE
     if not said:
         return SILENT
-    return FINE if Verdict.WARNED in lie.expected else NOT_MENDED
+    wrong = outcome.errors is not None and outcome.errors[0] > WRONG
+    return FINE if Verdict.WARNED in lie.expected and not wrong else NOT_MENDED
 
 
 def is_good(lie: Lie, outcome: Outcome, unharmed: Outcome) -> bool:
