@@ -85,6 +85,7 @@ class Drawn:
         most: Metres by which the worst is off.
         astray: Fixes that are believed less, and off by more than ``OFF``.
         farthest: Metres by which the worst of these is off.
+        newest: Metres by which the newest fix is off, if it is believed less.
     """
 
     looked_at: int = 0
@@ -93,12 +94,14 @@ class Drawn:
     most: float = 0.0
     astray: int = 0
     farthest: float = 0.0
+    newest: float = 0.0
 
     def look(self, metres: float) -> None:
         """Count a fix, and the metres by which it is off if it is believed less."""
         self.looked_at += 1
         self.astray += metres > OFF
         self.farthest = max(self.farthest, metres)
+        self.newest = metres
 
     def add(self, stamp: int, metres: float) -> None:
         """Count one that is drawn away by so many metres."""
@@ -185,25 +188,28 @@ def fixes_elsewhere(sensor: str, count: int, first: int, metres: float) -> Findi
     )
 
 
-def drawn_away(sensor: str, drawn: Drawn) -> tuple[Finding, ...]:
+def drawn_away(sensor: str, drawn: Drawn, ended: bool = False) -> tuple[Finding, ...]:
     """Fixes that are drawn away from the map little by little.
 
     Args:
         sensor: Name of the receiver.
         drawn: All of a drive so far.
+        ended: Whether no more fixes come.
 
     Returns:
-        ``gnss_drift``, an error where most fixes are metres off: then nobody knows where the map
-        is; nothing where they are few and near.
+        ``gnss_drift``, an error where most fixes are metres off, or the last ones, which never came
+        back: then nobody knows where the map is; nothing where they are few and near.
     """
     lost = drawn.astray > max(MOST * drawn.looked_at, DRAWN)
+    away = ended and drawn.count >= DRAWN and drawn.newest > OFF
     if not lost and (drawn.count < DRAWN or drawn.most < FAR_DRAWN):
         return ()
     severity = Severity.WARNING if drawn.count > MOST * drawn.looked_at else Severity.MENDED
-    if lost:
+    if lost or away:
         severity = Severity.ERROR
     count = max(drawn.count, drawn.astray if lost else 0)
     since = f', the first at {drawn.first}' if drawn.first else ''
+    until = f', and the last of all is still {_metres(drawn.newest)} off' if away else ''
     return (
         Finding(
             'gnss_drift',
@@ -211,7 +217,7 @@ def drawn_away(sensor: str, drawn: Drawn) -> tuple[Finding, ...]:
             sensor,
             f'{count} of {drawn.looked_at} fixes are drawn up to '
             f'{_metres(max(drawn.most, drawn.farthest if lost else 0.0))} away '
-            f'from where those before them, matches and IMU put them{since}: '
+            f'from where those before them, matches and IMU put them{since}{until}: '
             'reflections between houses, or a reference that wanders',
             'they are believed less; if the receiver is right, scan matching is wrong there',
         ),

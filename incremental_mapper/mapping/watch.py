@@ -173,7 +173,7 @@ class Watch:
         Args:
             judges: What judges the map, in place of what was found while the map grew.
         """
-        asked = (self._of_fixes, self._of_imu, *judges, self._presence.findings)
+        asked = (self._of_all_fixes, self._of_imu, *judges, self._presence.findings)
         more = [finding for judge in asked for finding in self._asked(judge)]
         return ranked([*self._findings, *more])
 
@@ -186,10 +186,13 @@ class Watch:
             self.failed(error)
             return ()
 
-    def _of_fixes(self) -> tuple[Finding, ...]:
+    def _of_fixes(self, ended: bool = False) -> tuple[Finding, ...]:
         if self._gate is None:
             return ()
-        return (*self._gate.findings(), *drawn_away(self._gate.sensor, self.drawn))
+        return (*self._gate.findings(), *drawn_away(self._gate.sensor, self.drawn, ended))
+
+    def _of_all_fixes(self) -> tuple[Finding, ...]:
+        return self._of_fixes(ended=True)
 
     def _of_imu(self) -> tuple[Finding, ...]:
         return pushed_findings(self.pushes)

@@ -81,6 +81,16 @@ def test_weak_matches_may_lean_as_far_as_the_best_lidar_may_be_off():
     assert pulls._leaning == pytest.approx({'left': 1.5, 'right': 3.0})
 
 
+def test_fixes_that_never_come_back_are_an_error_at_the_end_alone():
+    """A map that has left its fixes looks as if these had left it."""
+    _, told = judged([(0.8 * max(second - 14, 0), 0.0) for second in range(21)], grows=0.0)
+    (driving,), (ended,) = drawn_away('gnss', told), drawn_away('gnss', told, ended=True)
+    assert (driving.severity, ended.severity) == (Severity.MENDED, Severity.ERROR)
+    assert 'the last of all is still 4.8 m off' in ended.text
+    _, back = judged([(pulled(second, 5.0, 10.0, 4.0), 0.0) for second in range(20)])
+    assert [one.severity for one in drawn_away('gnss', back, ended=True)] == [Severity.MENDED]
+
+
 def test_single_fixes_and_small_ones_are_not_told():
     _, told = judged([(2.0 * (second in (8, 20, 24)), 0.0) for second in range(30)])
     assert told.count == 0 and drawn_away('gnss', told) == () == drawn_away('gnss', Drawn())
