@@ -34,14 +34,10 @@ def write_folder(target: Path, write: Callable[[Path], object]) -> Path:
     scratch: HiddenFolder | None = None
     try:
         scratch = HiddenFolder(target)
-        write(scratch.path)
-        sync_folder(scratch.path)
+        scratch.fill(write)
         return scratch.appear(target)
     except OSError as error:
         raise OutputError(f'{target}: cannot be written ({error.strerror or error})') from error
-    except OutputError as error:
-        hidden = '' if scratch is None else str(scratch.path)
-        raise OutputError(str(error).replace(hidden, str(target))) from error
     finally:
         if scratch is not None:
             scratch.drop()
@@ -64,6 +60,7 @@ class HiddenFolder:
         Raises:
             OSError: It cannot be made.
         """
+        self._target = target
         target.parent.mkdir(parents=True, exist_ok=True)
         prefix = f'.{target.name}.'
         for left in target.parent.glob(f'{glob.escape(prefix)}{"[a-z0-9_]" * RANDOM}'):
@@ -74,6 +71,22 @@ class HiddenFolder:
             fcntl.flock(self._claim, fcntl.LOCK_EX | fcntl.LOCK_NB)
         # mkdtemp makes folders that only their owner can read.
         self.path.chmod(0o755)
+
+    def fill(self, write: Callable[[Path], object]) -> None:
+        """Have it written, and brought to the disk.
+
+        Args:
+            write: Is called with it.
+
+        Raises:
+            OSError: It cannot be written.
+            OutputError: As ``write`` raised it, with the path that users know.
+        """
+        try:
+            write(self.path)
+        except OutputError as error:
+            raise OutputError(str(error).replace(str(self.path), str(self._target))) from error
+        sync_folder(self.path)
 
     def appear(self, target: Path) -> Path:
         """Give it a name, or one with a number where that is taken.

@@ -18,7 +18,7 @@ from incremental_mapper.results.candidate_table import FILE_NAME, candidate_reco
 from incremental_mapper.results.file_names import GRAPH, STATISTICS, TRAJECTORY
 from incremental_mapper.results.finished_run import FinishedRun
 from incremental_mapper.results.journal.journal_writer import Journal
-from incremental_mapper.results.new_folder import HiddenFolder, sync_folder
+from incremental_mapper.results.new_folder import HiddenFolder
 from incremental_mapper.results.run_folder import write_result
 from incremental_mapper.results.run_statistics import InputFacts, RunStatistics
 from incremental_mapper.results.sessions.going_on import EarlierMap, whole
@@ -200,14 +200,12 @@ def _attempt(target: Path, write: Callable[[Path], None]) -> _Attempt:
     scratch: HiddenFolder | None = None
     try:
         scratch = HiddenFolder(target)
-        write(scratch.path)
-        sync_folder(scratch.path)
+        scratch.fill(write)
     except OSError as error:
         reason = error.strerror or str(error)
         return _Attempt(target, scratch, f'{target}: cannot be written ({reason})')
     except OutputError as error:
-        hidden = '' if scratch is None else str(scratch.path)
-        return _Attempt(target, scratch, str(error).replace(hidden, str(target)))
+        return _Attempt(target, scratch, str(error))
     except BaseException:
         _Attempt(target, scratch).drop()
         raise
