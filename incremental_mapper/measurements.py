@@ -161,10 +161,20 @@ def make_scan(
     return LidarScan(
         stamp=stamp,
         sensor=sensor,
-        points=np.ascontiguousarray(kept, dtype=np.float32),
+        points=_single(kept),
         point_times=None if times is None else np.ascontiguousarray(times, dtype=np.float32),
         intensities=None if light is None else _plausible(light),
     )
+
+
+def _single(points: NDArray[np.floating]) -> Points:
+    """Points (N, 3) in single precision, one behind the other."""
+    if points.flags.c_contiguous and points.dtype == np.float32:
+        return points
+    single = np.empty(points.shape, dtype=np.float32)
+    for column in range(3):  # numpy copies one after the other several times as fast as all at once
+        single[:, column] = points[:, column]
+    return single
 
 
 def _plausible(intensities: NDArray[Any]) -> NDArray[np.float32]:

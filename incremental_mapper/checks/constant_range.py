@@ -88,7 +88,7 @@ def _constant_range(points: Points) -> float | None:
 
 def _crowded(points: Points) -> bool:
     """Whether some of a few points are at one range: most clouds are done with that."""
-    ranges = ranges_of(points.take(np.arange(FIRST) * len(points) // FIRST, axis=0))
+    ranges = ranges_of(points[np.arange(FIRST) * len(points) // FIRST])
     ranges = np.sort(ranges[(ranges > 0.0) & (ranges < np.inf)])
     if len(ranges) < CROWD:
         return False
