@@ -77,14 +77,13 @@ def hour(source: Source, config: Config, minutes: float) -> dict[str, Any]:
     }
 
 
-def proportional_mb() -> float:
-    """Megabytes that this process and its children hold, what they share counted once."""
-    children = Path('/proc/thread-self/children').read_text().split()
-    total = 0
-    for pid in ('self', *children):
-        try:
-            lines = Path(f'/proc/{pid}/smaps_rollup').read_text().splitlines()
-        except OSError:
-            continue  # it has ended
-        total += sum(1024 * int(line.split()[1]) for line in lines if line.startswith('Pss:'))
-    return total / 1e6
+def proportional_mb(process: str = 'self') -> float:
+    """Megabytes that a process and all below it hold, what they share counted once."""
+    try:
+        lines = Path(f'/proc/{process}/smaps_rollup').read_text().splitlines()
+        tasks = Path(f'/proc/{process}/task').iterdir()
+        below = [number for task in tasks for number in (task / 'children').read_text().split()]
+    except OSError:
+        return 0.0  # it has ended
+    own = sum(1024 * int(line.split()[1]) for line in lines if line.startswith('Pss:'))
+    return own / 1e6 + sum(proportional_mb(number) for number in below)

@@ -6,13 +6,39 @@ import subprocess
 import sys
 from collections.abc import Mapping
 from contextlib import suppress
-from typing import BinaryIO, TypeAlias
-
-Helper: TypeAlias = 'subprocess.Popen[bytes]'
+from typing import IO, BinaryIO, Protocol
 
 ROOM = 1 << 20
 """Bytes that a pipe holds, the most that Linux grants everybody. Where an answer fits, whoever
 gives it can go on before it is taken; by default that is 64 KiB."""
+
+
+class Helper(Protocol):
+    """A process with pipes to its standard input and output, as ``subprocess.Popen`` has it."""
+
+    @property
+    def stdin(self) -> IO[bytes] | None:
+        """Where it is asked."""
+
+    @property
+    def stdout(self) -> IO[bytes] | None:
+        """Where it answers."""
+
+    @property
+    def pid(self) -> int:
+        """Number of the process."""
+
+    def poll(self) -> int | None:
+        """None while it runs."""
+
+    def kill(self) -> None:
+        """End it at once."""
+
+    def wait(self) -> int:
+        """Wait until it has ended."""
+
+    def communicate(self) -> tuple[bytes, bytes | None]:
+        """End its input, and take what it answers until it ends."""
 
 
 def start(module: str, surroundings: Mapping[str, str] | None = None) -> Helper:
@@ -32,9 +58,14 @@ def start(module: str, surroundings: Mapping[str, str] | None = None) -> Helper:
     )
     for pipe in (process.stdin, process.stdout):
         assert pipe is not None
-        with suppress(OSError, AttributeError):  # no room is left, or it is not Linux
-            fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, ROOM)
+        widen(pipe.fileno())
     return process
+
+
+def widen(pipe: int) -> None:
+    """Give a pipe its ``ROOM``, where there is any left."""
+    with suppress(OSError, AttributeError):  # no room is left, or it is not Linux
+        fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, ROOM)
 
 
 def streams() -> tuple[BinaryIO, BinaryIO]:

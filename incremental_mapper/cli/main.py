@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from importlib import import_module
 
 from incremental_mapper import __version__
+from incremental_mapper.batch import work_in_batches
 from incremental_mapper.cli import exit_status
 from incremental_mapper.errors import ConfigError, MapperError
 from incremental_mapper.garbage import search_little
@@ -65,6 +66,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = sys.argv[1:] if arguments is None else list(arguments)
     if arguments is None:
         search_little()
+        if words[:1] != ['play']:  # which keeps the time of a drive
+            work_in_batches()
     try:
         try:
             args, unknown = make_parser(words[0] if words else None).parse_known_args(words)

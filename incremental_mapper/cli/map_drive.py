@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from incremental_mapper.cli import exit_status
 from incremental_mapper.cli.inputs import add_input
 from incremental_mapper.errors import OutputError
-from incremental_mapper.frontend.scan_servers import let_go, start_ahead
+from incremental_mapper.frontend.scan_servers import hold, let_go
 from incremental_mapper.garbage import set_aside
 
 if TYPE_CHECKING:
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 
 STRATEGIES = 'mom, base, min_time_shift, min_solver_error, fewest'
 """The built-in ones, for the help."""
-USUAL_LIDARS = 2
-"""On a KAIST car, whose settings do not name them."""
 TO_OPEN = ('report.html', 'map.png', 'map.ply')
 """What to look at first; without the extra ``report`` there is the map alone."""
 
@@ -100,13 +98,12 @@ def run(args: argparse.Namespace) -> int:
     started = time.perf_counter()
     if args.out_dir is None and args.earlier is None and args.config is None:
         args.wrong_usage('the following arguments are required: OUT_DIR')
-    from incremental_mapper.settings import make_config
-
-    tree, where = _settings(args), str(args.config or 'settings')
-    config = make_config(tree, where)
-    if config.odometry.processes:  # they get ready while the rest is imported
-        start_ahead(len(config.lidars) or USUAL_LIDARS)
+    hold()  # the LiDARs' processes get ready while the rest is imported
     try:
+        from incremental_mapper.settings import make_config
+
+        tree, where = _settings(args), str(args.config or 'settings')
+        make_config(tree, where)
         return _map(args, tree, where, started)
     finally:
         let_go()

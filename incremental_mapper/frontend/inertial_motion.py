@@ -239,8 +239,9 @@ def make_strip(
 
 
 def warm_up() -> None:
-    """Compile the kernel of rotations, or load it from disk."""
+    """Compile the kernels, or load them from disk."""
     rotations_after(np.zeros((1, 3)))
+    _moved(np.zeros((3, 1)), np.zeros(1), np.arange(2.0), np.zeros((2, 6)), np.eye(4))
 
 
 @kernel

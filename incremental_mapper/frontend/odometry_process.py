@@ -10,14 +10,17 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from typing import Any, BinaryIO, Protocol
 
+import numpy as np
+
 from incremental_mapper.config import Config
 from incremental_mapper.errors import MeasurementError
+from incremental_mapper.frontend import inertial_motion
 from incremental_mapper.frontend.imu_preintegration import EMPTY_SERIES, ImuSeries
 from incremental_mapper.frontend.prepared_scan import PreparedScan, ScanPreparer
 from incremental_mapper.frontend.preprocessing import Sweep, warm_up
-from incremental_mapper.frontend.scan_servers import scan_server
+from incremental_mapper.frontend.scan_servers import hold, let_go, scan_server
 from incremental_mapper.helper_process import streams
-from incremental_mapper.measurements import LidarScan
+from incremental_mapper.measurements import NANOSECONDS, LidarScan, make_scan
 
 ENDED = (EOFError, OSError, pickle.UnpicklingError)
 """What is raised where the other end of a stream is gone, before or within a message."""
@@ -63,6 +66,8 @@ class ProcessStation:
     def __init__(self, name: str, config: Config, notes: Counter[str]) -> None:
         self._name, self._config, self._notes = name, config, notes
         self._here: ScanPreparer | None = None
+        self._closed = False
+        hold()
         self._process = scan_server()
         # One thread sends and another takes answers, so that the next scan is there when the
         # process is done with one.
@@ -86,6 +91,9 @@ class ProcessStation:
             thread.shutdown(wait=False, cancel_futures=True)
         self._process.kill()
         self._process.wait()
+        if not self._closed:
+            self._closed = True
+            let_go()
 
     def _send(self, item: Any) -> None:
         assert self._process.stdin is not None
@@ -144,6 +152,17 @@ def _answer(requests: BinaryIO, answers: BinaryIO) -> None:
             pickle.dump((result, dict(notes)), answers, protocol=pickle.HIGHEST_PROTOCOL)
             answers.flush()
             notes.clear()
+
+
+def get_ready() -> None:
+    """Bring into memory what the first scans would wait for."""
+    warm_up()
+    inertial_motion.warm_up()
+    preparer = ScanPreparer('', Config(), Counter())
+    places = np.arange(-10.0, 10.0, 0.5)
+    ground = np.stack([*np.meshgrid(places, places), np.zeros((40, 40))], axis=-1).reshape(-1, 3)
+    for tenths in range(2):
+        preparer.prepare(make_scan(tenths * NANOSECONDS // 10, '', ground))
 
 
 def main() -> None:

@@ -1,11 +1,15 @@
-"""Processes that will prepare a LiDAR's scans, started before it is known whose.
+"""Processes that prepare a LiDAR's scans, and the seed from which they are forked.
 
-They take half a second to import what they need. A program that is about to import more than that
-starts them first, and ends those that were not needed.
+The seed takes most of a second to import what they need. A program that is about to import more
+than that starts it first; it ends with the last that has asked for it.
 """
 
-from incremental_mapper.helper_process import Helper, start
+import threading
 
+from incremental_mapper.helper_process import Helper, start
+from incremental_mapper.helper_seed import Seed, possible
+
+_MODULE = 'incremental_mapper.frontend.odometry_process'
 _SURROUNDINGS = {
     # The processes share the cores among themselves; their libraries' threads would only compete.
     'OMP_NUM_THREADS': '1',
@@ -16,31 +20,47 @@ _SURROUNDINGS = {
     'MALLOC_TRIM_THRESHOLD_': str(64 << 20),
 }
 
-_ahead: list[Helper] = []
+_lock = threading.Lock()
+_seed: Seed | None = None
+_holders = 0
 
 
-def start_ahead(count: int) -> None:
-    """Start so many, for ``scan_server`` to hand out; ``let_go`` must follow."""
-    _ahead.extend(_start() for _ in range(count))
+def hold() -> None:
+    """Ask for the seed; it is not waited for, and ``let_go`` must follow."""
+    global _seed, _holders
+    with _lock:
+        _holders += 1
+        if _seed is None and possible():
+            _seed = Seed([_MODULE], _SURROUNDINGS)
+
+
+def let_go() -> None:
+    """The seed is not needed any more by whoever held it."""
+    global _seed, _holders
+    with _lock:
+        _holders -= 1
+        if _holders == 0 and _seed is not None:
+            _seed.close()
+            _seed = None
 
 
 def scan_server() -> Helper:
     """A process that serves as ``odometry_process`` says, and has served nobody yet."""
-    while _ahead:
-        server = _ahead.pop()
-        if server.poll() is None:
-            return server
-        server.communicate()
-    return _start()
+    return helper(_MODULE)
 
 
-def let_go() -> None:
-    """End those that nobody has taken."""
-    while _ahead:
-        server = _ahead.pop()
-        server.kill()
-        server.communicate()
+def helper(module: str) -> Helper:
+    """A process that is a module's ``main``, forked from the seed where somebody holds it.
 
-
-def _start() -> Helper:
-    return start('incremental_mapper.frontend.odometry_process', _SURROUNDINGS)
+    Args:
+        module: Its name. What LiDARs' processes import is there already.
+    """
+    global _seed
+    with _lock:
+        if _seed is not None:
+            try:
+                return _seed.start(module)
+            except OSError:  # it was killed
+                _seed.close()
+                _seed = Seed([_MODULE], _SURROUNDINGS)
+    return start(module, _SURROUNDINGS)

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from drive_edits import driven_later
+from scan_processes import scan_processes
 
 pytest.importorskip('rclpy', reason='rclpy is not installed (extra "ros")')
 
@@ -129,14 +130,6 @@ def scans_and_fixes(measurements):
     return Counter(item.sensor for item in measurements if item.sensor != 'imu')
 
 
-def processes():
-    """Commands of the children, whichever thread made them, that prepare scans."""
-    tasks = Path('/proc/self/task').iterdir()
-    children = ' '.join((task / 'children').read_text(encoding='ascii') for task in tasks)
-    commands = [Path(f'/proc/{number}/cmdline').read_text() for number in children.split()]
-    return [command for command in commands if 'odometry_process' in command]
-
-
 def test_windows_are_those_of_the_mapper_alone(start):
     run = start()
     run.feed(run.measurements)
@@ -245,11 +238,11 @@ def test_worker_tries_again_by_itself(start, tmp_path, monkeypatch):
 def test_mapper_that_cannot_be_made_leaves_no_process_behind(start, tmp_path):
     folder = tmp_path / 'store'
     run = start(merge(on_disk(folder), {'odometry': {'processes': True}}))
-    assert len(processes()) == 2
+    assert scan_processes()  # the seed, which forks the others when it is ready
     folder.rmdir()
     for _ in range(3):
         assert not run.order(Order.RESET)[0]
-    assert processes() == []
+    assert scan_processes() == []
 
 
 def test_no_worker_without_a_place_for_the_map(light_drive, tmp_path):

@@ -10,7 +10,8 @@ from types import TracebackType
 from typing import Any, BinaryIO, Self
 
 from incremental_mapper.errors import MapperError
-from incremental_mapper.helper_process import Helper, start, streams
+from incremental_mapper.frontend.scan_servers import helper
+from incremental_mapper.helper_process import Helper, streams
 from incremental_mapper.trajectory import Trajectory
 from incremental_mapper.visualization.extras import importable, installed
 
@@ -42,7 +43,7 @@ class ReportProcess:
         """A page will be wanted soon."""
         possible = installed('report.html') and installed('pictures')
         if self._process is None and possible and (os.cpu_count() or 1) > 1:
-            self._process = start('incremental_mapper.evaluation.report.report_process')
+            self._process = helper('incremental_mapper.evaluation.report.report_process')
 
     def begin(self, folder: Path, truth: Trajectory | None) -> None:
         """Begin to write.
