@@ -9,7 +9,6 @@ file is damaged, and a long map is read and written in pieces.
 
 import re
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -163,27 +162,30 @@ class MapFile:
         ``time`` is the stamp of a scan in seconds: a double tells moments 0.2 µs apart.
         """
         size = size or CHUNK
-        head, scans, dtype = self._points, self._scans, self.dtype
-        with ExitStack() as files:
-            file = files.enter_context(self.path.open('rb'))
-            file.seek(head.start)
-            numbers = None if scans is None else files.enter_context(scans.path.open('rb'))
-            if numbers is not None and scans is not None:
-                numbers.seek(scans.start)
-            for first in range(0, head.count, size):
-                count = min(size, head.count - first)
-                flat = np.fromfile(file, dtype='<f4', count=count * len(head.columns))
-                records: Records = np.empty(count, dtype=dtype)
-                for name, column in zip(head.columns, flat.reshape(count, -1).T, strict=True):
-                    records[name] = column
-                if numbers is not None and scans is not None:
-                    seen = np.fromfile(numbers, dtype='<i4', count=count)
-                    if not 0 <= seen.min() <= seen.max() < len(scans.table):
-                        raise _damaged(scans.path)
-                    own = scans.table[seen]
-                    for name, _ in SOURCE_FIELDS:
-                        records[name] = own[name]
+        scans, dtype = self._scans, self.dtype
+        if scans is None:
+            yield from self._own(size)
+            return
+        with scans.path.open('rb') as numbers:
+            numbers.seek(scans.start)
+            for points in self._own(size):
+                records: Records = np.empty(len(points), dtype=dtype)
+                seen = np.fromfile(numbers, dtype='<i4', count=len(points))
+                if not 0 <= seen.min() <= seen.max() < len(scans.table):
+                    raise _damaged(scans.path)
+                own = scans.table[seen]
+                for name in dtype.names or ():
+                    records[name] = (points if name in self._points.columns else own)[name]
                 yield records
+
+    def _own(self, size: int) -> Iterator[Records]:
+        """The points with the columns of this file alone, ``size`` at a time."""
+        head = self._points
+        columns = np.dtype([(name, '<f4') for name in head.columns])
+        with self.path.open('rb') as file:
+            file.seek(head.start)
+            for first in range(0, head.count, size):
+                yield np.fromfile(file, dtype=columns, count=min(size, head.count - first))
 
     def first(self) -> NDArray[np.int32] | None:
         """The scan (N,) that saw each voxel first, as a place among the scans.
@@ -210,7 +212,8 @@ class MapFile:
         """
         made = np.empty((self.count, len(names)), dtype=dtype)
         start = 0
-        for records in self.records():
+        own = set(names) <= set(self._points.columns)
+        for records in self._own(CHUNK) if own else self.records():
             for place, name in enumerate(names):
                 made[start : start + len(records), place] = records[name]
             start += len(records)

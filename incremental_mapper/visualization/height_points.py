@@ -5,7 +5,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from incremental_mapper.visualization.figure import DARK, DPI, LIGHT, Look, axes_pixels
+from incremental_mapper.visualization.figure import (
+    DARK,
+    DPI,
+    LIGHT,
+    PAGE,
+    PAGE_DPI,
+    Look,
+    axes_pixels,
+)
+from incremental_mapper.visualization.point_raster import paint
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -19,6 +28,8 @@ SHADES = 64
 """Colours of points; the eye tells fewer."""
 SNAPPED = 1.3
 """How much larger a mark is drawn, as none is drawn between pixels."""
+SAMPLE = 50_000
+"""Points from which the shares of all are told; more change no colour that one can see."""
 
 
 def draw_points(
@@ -33,22 +44,27 @@ def draw_points(
         look: Colours and sizes.
     """
     from matplotlib.cm import ScalarMappable
+    from matplotlib.image import AxesImage
 
     norm, colours = _evened(heights), _height_colours(look)
     size, alpha = _mark(axes, flat)
-    # Markers are put onto whole pixels: what stands on a grid itself would show a weave.
-    pixel = np.ptp([axes.get_xlim(), axes.get_ylim()], axis=1) / axes_pixels(axes)
-    flat = flat + pixel * np.random.default_rng(0).uniform(-0.5, 0.5, flat.shape)
-    # One line of markers for each colour: points with a colour each take ten times as long.
-    shades = (np.asarray(norm(heights)).clip(0.0, 1.0) * SHADES).astype(int).clip(max=SHADES - 1)
-    order = np.argsort(shades, kind='stable')  # what is high hides what is low
-    for part in np.split(order, np.searchsorted(shades[order], np.arange(1, SHADES))):
-        if len(part) > 0:
-            axes.plot(
-                flat[part, 0], flat[part, 1], linestyle='', marker='o', alpha=alpha,
-                markeredgewidth=0, color=colours((shades[part[0]] + 0.5) / SHADES),
-                markersize=SNAPPED * np.sqrt(size), rasterized=True,
-            )  # fmt: skip
+    density = (PAGE_DPI if look.theme is PAGE else DPI) / DPI
+    shades = (np.asarray(norm(heights)).clip(0.0, 1.0) * SHADES).astype(np.uint8)
+    pixels = paint(
+        _spots(axes, flat, density),
+        shades.clip(max=SHADES - 1),
+        colours((np.arange(SHADES) + 0.5) / SHADES)[:, :3],
+        (density * size, alpha),
+        _pixels(axes, density),
+    )
+    # As the image stands for lines, it lies where they do: over the grid.
+    image = AxesImage(
+        axes, interpolation='none', origin='upper', zorder=2.0,
+        extent=(*axes.get_xlim(), *axes.get_ylim()),
+    )  # fmt: skip
+    image.set_data(pixels)
+    image.set_clip_path(axes.patch)
+    axes.add_image(image)
     place = axes.get_position()
     gap, width = 24 / look.width, (22 if look.heading else 12) / look.width
     gap = gap if look.heading else gap / 2
@@ -65,6 +81,28 @@ def draw_points(
     bar.set_label('height above the way, m', fontsize=look.text, color=look.theme.ink)
 
 
+def sample(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Every k-th of rows (N, ...), which come in the order of the drive: about ``SAMPLE``."""
+    return rows[:: max(1, len(rows) // SAMPLE)]
+
+
+def _pixels(axes: 'Axes', density: float) -> tuple[int, int]:
+    """Rows and columns of the pixels of an axes."""
+    width, height = axes_pixels(axes)
+    return max(round(height * density), 1), max(round(width * density), 1)
+
+
+def _spots(axes: 'Axes', flat: NDArray[np.float64], density: float) -> NDArray[np.float64]:
+    """Where points (N, 2) lie, in columns and rows of an axes' pixels from its upper left."""
+    rows, columns = _pixels(axes, density)
+    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+    scale = np.array([columns / (right - left), rows / (bottom - top)])
+    # A mark lies on the middle of a pixel: what stands on a grid itself would show a weave.
+    jitter = np.random.default_rng(0).uniform(-0.5, 0.5, flat.shape)
+    spots: NDArray[np.float64] = (flat - [left, top]) * scale + jitter
+    return spots
+
+
 def _evened(heights: NDArray[np.float64]) -> 'Normalize':
     """Colours for heights (N,): partly by rank, so that a few tall houses leave some for streets.
 
@@ -72,6 +110,7 @@ def _evened(heights: NDArray[np.float64]) -> 'Normalize':
     """
     from matplotlib.colors import FuncNorm
 
+    heights = sample(heights)
     low, high = np.percentile(heights, [1.0, 99.0]) if len(heights) > 0 else (0.0, 1.0)
     edges = np.linspace(low, max(high, low + 0.1), STEPS)
     even = np.linspace(0.0, 1.0, STEPS)
@@ -98,14 +137,14 @@ def _bar_ticks(norm: 'Normalize') -> list[float]:
 
 
 def _mark(axes: 'Axes', points: NDArray[np.float64]) -> tuple[float, float]:
-    """Area in square points and opacity that let ``points`` fill, but not flood, the axes."""
+    """Diameter in pixels and opacity that let ``points`` fill, but not flood, the axes."""
     width, height = axes_pixels(axes)
     (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
     inside = (points[:, 0] > left) & (points[:, 0] < right)
     inside &= (points[:, 1] > bottom) & (points[:, 1] < top)
     share = width * height / max(int(inside.sum()), 1)
-    diameter = float(np.clip(0.75 * np.sqrt(share), 1.6, 5.0)) * 72 / DPI
-    return diameter**2, float(np.clip(0.45 + 0.05 * share, 0.45, 0.9))
+    diameter = SNAPPED * float(np.clip(0.75 * np.sqrt(share), 1.6, 5.0))
+    return diameter, float(np.clip(0.45 + 0.05 * share, 0.45, 0.9))
 
 
 def _height_colours(look: Look) -> 'Colormap':

@@ -22,7 +22,7 @@ from incremental_mapper.visualization.figure import (
     save,
     title,
 )
-from incremental_mapper.visualization.height_points import draw_points
+from incremental_mapper.visualization.height_points import draw_points, sample
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -155,10 +155,7 @@ def map_figure(
 ) -> 'Figure':
     """The figure that ``draw_map`` saves."""
     drawn = _thinned(points, look)
-    drawn = drawn[np.argsort(drawn[:, 2], kind='stable')]  # roofs hide the ground, not reversed
-    # A few stray returns must not shrink the street.
-    inner = np.percentile(drawn[:, :2], [0.5, 99.5], axis=0) if len(drawn) > 0 else drawn[:, :2]
-    shown = np.concatenate([inner, estimate.positions[:, :2]])
+    shown = np.concatenate([_inner_part(drawn[:, :2], 0.5), estimate.positions[:, :2]])
     look = _fitted(look, shown, SMALLEST, BAR)
     figure = new_figure(look)
     axes = figure.add_axes(_place(look, bar=True))
@@ -183,8 +180,7 @@ def side_figure(
     along = _main_direction(estimate.positions if len(estimate) > 1 else drawn)
     flat = np.stack([drawn[:, :2] @ along, drawn[:, 2]], axis=1)
     path = np.stack([estimate.positions[:, :2] @ along, estimate.positions[:, 2]], axis=1)
-    inner = np.percentile(flat, [0.2, 99.8], axis=0) if len(flat) > 0 else flat
-    stretch = _fill_stretched(axes, np.concatenate([inner, path]))
+    stretch = _fill_stretched(axes, np.concatenate([_inner_part(flat, 0.2), path]))
     draw_points(axes, flat, _above_way(drawn, estimate), look)
     _draw_path(axes, path, look, look.theme.vermillion, 'trajectory', halo=5.0)
     turn = np.degrees(np.arctan2(along[1], along[0]))
@@ -210,10 +206,10 @@ def _above_way(points: NDArray[np.float64], estimate: Trajectory) -> NDArray[np.
     if len(estimate) == 0 or len(points) == 0:
         return heights
     # A square has far more points than one, and one nearest pose.
-    low = points[:, :2].min(axis=0)
-    extent = points[:, :2].max(axis=0) - low
+    low = np.array([points[:, 0].min(), points[:, 1].min()])
+    extent = np.array([points[:, 0].max(), points[:, 1].max()]) - low
     side = max(SQUARE, np.sqrt(extent.prod() / MOST_SQUARES), extent.max() / MOST_SQUARES)
-    column, row = ((points[:, :2] - low) / side).astype(np.int64).T
+    column, row = (((points[:, k] - low[k]) / side).astype(np.int64) for k in range(2))
     rows = int(row.max()) + 1
     numbers = column * rows + row
     taken = np.flatnonzero(np.bincount(numbers))
@@ -269,6 +265,15 @@ def _aligned_truth(estimate: Trajectory, truth: Trajectory) -> NDArray[np.float6
 def _thinned(points: NDArray[np.floating], look: Look) -> NDArray[np.float64]:
     most = DRAWN_POINTS_A_PIXEL * look.width * look.height
     return np.asarray(points[:: max(1, -(-len(points) // most))], dtype=np.float64)
+
+
+def _inner_part(flat: NDArray[np.float64], outside: float) -> NDArray[np.float64]:
+    """Corners (2, 2) of what holds points (N, 2) but for ``outside`` percent on every side.
+
+    A few stray returns must not shrink the street.
+    """
+    some = sample(flat)
+    return np.percentile(some, [outside, 100.0 - outside], axis=0) if len(some) > 0 else some
 
 
 def _main_direction(positions: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -357,19 +362,24 @@ def _fill_stretched(axes: 'Axes', shown: NDArray[np.float64]) -> int:
 
 def _add_scale(axes: 'Axes', look: Look) -> None:
     """A bar of a round length, about a sixth of the picture wide."""
-    from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
+    from matplotlib.offsetbox import AnchoredOffsetbox, AuxTransformBox, TextArea, VPacker
+    from matplotlib.patches import Rectangle
 
     left, right = axes.get_xlim()
     longest = (right - left) / 6
     power = 10.0 ** np.floor(np.log10(longest))
     length = float(max(step * power for step in (1, 2, 5) if step * power <= longest))
-    bar = AnchoredSizeBar(
-        axes.transData, length, f'{length:g} m', 'lower left', pad=0.5, borderpad=0.8, sep=5,
-        size_vertical=(right - left) * 0.002, color=look.theme.ink,
+    bar = AuxTransformBox(axes.transData)
+    bar.add_artist(
+        Rectangle((0, 0), length, (right - left) * 0.002, linewidth=0, color=look.theme.ink)
+    )
+    text = TextArea(f'{length:g} m', textprops={'color': look.theme.ink, 'size': look.text - 1})
+    scale = AnchoredOffsetbox(
+        'lower left', pad=0.5, borderpad=0.8,
+        child=VPacker(children=[bar, text], align='center', pad=0, sep=5),
     )  # fmt: skip
-    bar.patch.set(alpha=0.85, edgecolor='none', facecolor=look.theme.ground)
-    bar.txt_label.get_children()[0].set(color=look.theme.ink, fontsize=look.text - 1)
-    axes.add_artist(bar)
+    scale.patch.set(alpha=0.85, edgecolor='none', facecolor=look.theme.ground)
+    axes.add_artist(scale)
 
 
 def _label(axes: 'Axes', look: Look, x: str, y: str) -> None:
