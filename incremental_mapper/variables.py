@@ -8,8 +8,10 @@ from functools import lru_cache
 
 import gtsam
 
+LETTER = 56
+"""Bits of a key below its letter."""
 # As gtsam.symbol(letter, cluster) makes them, at a fifth of the cost.
-_POSE, _VELOCITY, _BIAS = (ord(letter) << 56 for letter in 'xvb')
+_POSE, _VELOCITY, _BIAS = (ord(letter) << LETTER for letter in 'xvb')
 
 
 def pose_key(cluster: int) -> int:
@@ -29,12 +31,12 @@ def bias_key(cluster: int) -> int:
 
 def cluster_of(key: int) -> int:
     """Number of the cluster that a variable belongs to."""
-    return key & ((1 << 56) - 1)  # as gtsam.Symbol(key).index(), without making one
+    return key & ((1 << LETTER) - 1)  # as gtsam.Symbol(key).index(), without making one
 
 
 def kind_of(key: int) -> str:
     """Letter of a variable: ``x``, ``v`` or ``b``."""
-    return chr(key >> 56)  # as gtsam.Symbol(key).chr(), without making one
+    return chr(key >> LETTER)  # as gtsam.Symbol(key).chr(), without making one
 
 
 def key_name(key: int) -> str:

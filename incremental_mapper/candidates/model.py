@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from enum import Enum, StrEnum, auto
+from functools import cached_property
 
 
 class CoreKind(StrEnum):
@@ -78,30 +79,31 @@ class Connection:
         return self.first_sample - self.start_stamp
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Candidate:
     """One way of building the window's graph: clusters in time order and their connections.
 
-    ``bias`` says what the connections take for the bias of the IMU.
+    ``bias`` says what the connections take for the bias of the IMU. What follows from the three is
+    asked for again and again, and computed once.
     """
 
     clusters: tuple[Cluster, ...]
     connections: tuple[Connection, ...]
     bias: SpanBias = SpanBias.EACH_END
 
-    @property
+    @cached_property
     def time_shift(self) -> int:
         """Total time shift in nanoseconds (paper, equation for E in Minimum Time Shift)."""
         ranges = sum(cluster.time_range for cluster in self.clusters)
         return ranges + sum(connection.shift for connection in self.connections)
 
-    @property
+    @cached_property
     def inertial_clusters(self) -> frozenset[int]:
         """Indices of the clusters at the ends of spans, HEAD among them: those have a velocity."""
         ends = {connection.end for connection in self.connections}
         return frozenset(ends | {connection.start for connection in self.connections})
 
-    @property
+    @cached_property
     def linked(self) -> bool:
         """Whether each LiDAR has a scan in a cluster at which a span starts or ends.
 
@@ -117,18 +119,15 @@ class Candidate:
         ends = self.inertial_clusters - {HEAD}
         return lidars <= {core.sensor for end in ends for core in self.clusters[end].members}
 
-    @property
+    @cached_property
     def merges(self) -> bool:
         """Whether measurements of different stamps share a cluster."""
         return any(cluster.time_range > 0 for cluster in self.clusters)
 
-    @property
+    @cached_property
     def vertices(self) -> int:
         """Variables that the candidate adds: poses, velocities at the ends of spans, and biases."""
-        velocities = len(self.inertial_clusters - {HEAD})
-        biases = {
-            SpanBias.EACH_END: velocities,
-            SpanBias.NEW: int(bool(self.connections)),
-            SpanBias.KEPT: 0,
-        }
-        return len(self.clusters) + velocities + biases[self.bias]
+        velocities = biases = len(self.inertial_clusters - {HEAD})
+        if self.bias is not SpanBias.EACH_END:
+            biases = int(self.bias is SpanBias.NEW and bool(self.connections))
+        return len(self.clusters) + velocities + biases

@@ -54,8 +54,7 @@ class ImuSeries:
 
     def since(self, stamp: int) -> 'ImuSeries':
         """The samples with a stamp of at least ``stamp``."""
-        low = int(np.searchsorted(self.stamps, stamp, side='left'))
-        return self.part(low, len(self.stamps))
+        return self.part(int(self.stamps.searchsorted(stamp)), len(self.stamps))
 
     def part(self, low: int, high: int) -> 'ImuSeries':
         """The samples at positions [low, high)."""
@@ -72,8 +71,8 @@ class ImuSeries:
 
     def within(self, start: int, end: int) -> 'ImuSeries':
         """The samples with start <= stamp < end."""
-        low, high = np.searchsorted(self.stamps, (start, end), side='left')
-        return self.part(int(low), int(high))
+        low, high = self.stamps.searchsorted((start, end)).tolist()
+        return self.part(low, high)
 
     def with_forces(self, parameters: gtsam.PreintegrationCombinedParams) -> 'ImuSeries':
         """This series for spans with these ``parameters``: what they share is computed once."""
@@ -121,10 +120,10 @@ class ImuSeries:
         """This series with a newer one behind it."""
         none = self.doubts is None and newer.doubts is None
         return ImuSeries(
-            np.append(self.stamps, newer.stamps),
-            np.vstack([self.gyro, newer.gyro]),
-            np.vstack([self.acceleration, newer.acceleration]),
-            doubts=None if none else np.append(self.all_doubts(), newer.all_doubts()),
+            np.concatenate([self.stamps, newer.stamps]),
+            np.concatenate([self.gyro, newer.gyro]),
+            np.concatenate([self.acceleration, newer.acceleration]),
+            doubts=None if none else np.concatenate([self.all_doubts(), newer.all_doubts()]),
         )
 
     def all_doubts(self) -> NDArray[np.float64]:
@@ -154,23 +153,27 @@ class SpanForces:
     """What spans take samples for.
 
     ``forces`` (K, 3) are the accelerations without what a changing turn adds, m/s^2; ``hard`` (K,)
-    are the forces that no vehicle feels, see ``hard_force``, or no match, the ``doubts``.
+    are the forces that no vehicle feels, see ``hard_force``, or no match, the ``doubts``; None
+    where all are 0, as nearly always.
     """
 
     forces: NDArray[np.float64]
-    hard: NDArray[np.float64]
+    hard: NDArray[np.float64] | None
 
     def part(self, low: int, high: int) -> 'SpanForces':
         """That of the samples at positions [low, high)."""
-        return SpanForces(self.forces[low:high], self.hard[low:high])
+        return SpanForces(self.forces[low:high], None if self.hard is None else self.hard[low:high])
 
 
 def span_forces(samples: ImuSeries, parameters: gtsam.PreintegrationCombinedParams) -> SpanForces:
     """What spans with these parameters take samples for."""
     gravity = float(np.linalg.norm(parameters.n_gravity))
+    hard = hard_force(samples.acceleration, gravity)
+    if samples.doubts is not None:
+        hard = np.maximum(hard, samples.doubts)
     return SpanForces(
         samples.acceleration - _swung(samples, parameters.getBodyPSensor()),
-        np.maximum(hard_force(samples.acceleration, gravity), samples.all_doubts()),
+        hard if hard.any() else None,
     )
 
 
@@ -197,20 +200,22 @@ def turning_of(
         return known
     if count < 2:
         return Turning(stamps.copy(), gyro.copy(), np.zeros((count, 3)))
-    steps = np.diff(stamps)
-    ends = np.append(stamps[:-1] + steps // 2, stamps[-1] + min(int(steps[-1]), APART) // 2)
+    ends = stamps.copy()
+    ends[:-1] += (stamps[1:] - stamps[:-1]) // 2
+    ends[-1] += min(int(stamps[-1] - stamps[-2]), APART) // 2
     index = np.arange(count)
-    beside = np.append(index[1:], count - 1)
-    low = np.minimum(np.searchsorted(stamps, ends - SMOOTHED), index)
-    high = np.maximum(np.searchsorted(stamps, ends + SMOOTHED, side='right'), beside + 1)
-    sums = np.vstack([np.zeros((1, 3)), np.cumsum(gyro, axis=0)])
+    low = np.minimum(stamps.searchsorted(ends - SMOOTHED), index)
+    beside = np.minimum(index + 2, count)
+    high = np.maximum(stamps.searchsorted(ends + SMOOTHED, side='right'), beside)
+    sums = np.zeros((count + 1, 3))
+    np.cumsum(gyro, axis=0, out=sums[1:])
     rates = (sums[high] - sums[low]) / (high - low)[:, None]
     if known is not None:
         ends[:first], rates[:first] = known.ends, known.rates
     changes = np.zeros((count, 3))
-    passed = np.diff(ends)
+    passed = ends[1:] - ends[:-1]
     told = (passed > 0) & (passed <= APART)
-    changes[1:][told] = np.diff(rates, axis=0)[told] / (passed[told] / NANOSECONDS)[:, None]
+    changes[1:][told] = (rates[1:] - rates[:-1])[told] / (passed[told] / NANOSECONDS)[:, None]
     changes[0] = changes[1]  # nothing is known of what was before it
     if known is not None:
         changes[:first] = known.changes
@@ -226,8 +231,8 @@ def series_of(samples: Sequence[ImuSample]) -> ImuSeries:
         return EMPTY_SERIES
     return ImuSeries(
         np.array([sample.stamp for sample in samples], dtype=np.int64),
-        np.stack([sample.gyro for sample in samples]),
-        np.stack([sample.acceleration for sample in samples]),
+        np.array([sample.gyro for sample in samples]),
+        np.array([sample.acceleration for sample in samples]),
     )
 
 
@@ -300,7 +305,7 @@ def integrate(
     Their ``forces`` are taken for those with these ``parameters``.
     """
     told = samples.forces or span_forces(samples, parameters)
-    if told.hard.any():
+    if told.hard is not None and told.hard.any():
         passed = (end - start) / NANOSECONDS
         parameters = _doubting(parameters, float(told.hard.mean()), passed)
     # Stamps are subtracted as integers: doubles hold epoch nanoseconds to 256 ns only.

@@ -59,12 +59,14 @@ class FactorBuilder:
         self._compensation = compensation
         self._spans = SpanFactors(inputs, partitions, compensation)
         self._cache: dict[tuple[object, ...], tuple[Factor, ...]] = {}
+        # Of whole candidates, which stay alive as the keys of their factors.
+        self._made: dict[int, tuple[Candidate, Sequence[Factor]]] = {}
         odometry = inputs.config.odometry
         self._constant = np.diag(
             pose_sigmas(odometry.sigma_translation, odometry.sigma_rotation) ** 2
         )
 
-    def factors(self, candidate: Candidate, since: int = 0) -> list[Factor]:
+    def factors(self, candidate: Candidate, since: int = 0) -> Sequence[Factor]:
         """All factors of a candidate except those that hold unconnected components.
 
         Args:
@@ -76,6 +78,14 @@ class FactorBuilder:
             the clusters that they pass over, then what holds velocity and bias where a chain of
             spans starts, and in the first window the prior.
         """
+        if since:
+            return self._factors(candidate, since)
+        known = self._made.get(id(candidate))
+        if known is None:
+            known = self._made[id(candidate)] = candidate, self._factors(candidate, 0)
+        return known[1]
+
+    def _factors(self, candidate: Candidate, since: int) -> Sequence[Factor]:
         partition = self._partitions.of(candidate)
         made: list[Factor] = []
         for cluster in candidate.clusters[since:]:

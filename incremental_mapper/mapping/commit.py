@@ -97,7 +97,8 @@ def commit(state: GraphState, window: int, choice: Choice, problem: WindowProble
 
 def _renamed(factor: Factor, final: dict[int, int]) -> Factor:
     keys = tuple(final.get(key, key) for key in factor.keys)
-    return replace(factor, keys=keys, factor=factor.factor.rekey(list(keys)))
+    renamed = factor.factor.rekey(list(keys))
+    return Factor(factor.kind, keys, renamed, factor.sensor, factor.stamps, factor.describe)
 
 
 def _measurements(

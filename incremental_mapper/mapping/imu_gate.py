@@ -4,7 +4,6 @@ A single wrong sample, or a few tenths of a second of them, would bend the map f
 spans are believed as all others are. Matches know nothing of the IMU, so they can tell.
 """
 
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -16,6 +15,7 @@ from incremental_mapper.frontend.front_end import Prepared
 from incremental_mapper.frontend.imu_preintegration import EMPTY_SERIES, ImuSeries
 from incremental_mapper.frontend.prepared_scan import PreparedScan
 from incremental_mapper.measurements import NANOSECONDS
+from incremental_mapper.quantiles import median_row
 
 LONGEST = NANOSECONDS // 2
 """Nanoseconds; a match over more time says little of a single sample."""
@@ -48,18 +48,20 @@ class ImuGate:
     """Gates the samples of one window after the other, and knows what force is usual."""
 
     def __init__(self) -> None:
-        self._forces: deque[NDArray[np.float64]] = deque(maxlen=USUAL)
+        self._forces = np.zeros((USUAL, 3))  # medians of the last windows, in no order
+        self._windows = 0
         self._refused = EMPTY_SERIES  # of the window before
 
     def take(
         self, series: ImuSeries, prepared: Sequence[Prepared], R_base_imu: NDArray[np.float64]
     ) -> Gated:
         """As ``gate``, for the samples and core measurements of the next window."""
-        usual = np.median(self._forces, axis=0) if self._forces else None
+        usual = median_row(self._forces[: self._windows]) if self._windows else None
         gated = gate(series, prepared, R_base_imu, usual, self._refused)
         self._refused = gated.refused
         if len(gated.series.stamps):
-            self._forces.append(np.median(gated.series.acceleration, axis=0))
+            self._forces[self._windows % USUAL] = median_row(gated.series.acceleration)
+            self._windows += 1
         return gated
 
 
@@ -86,7 +88,7 @@ def gate(
     """
     if len(series.stamps) == 0:
         return Gated(series, EMPTY_SERIES)
-    middle = np.median(series.acceleration, axis=0) if usual is None else usual
+    middle = median_row(series.acceleration) if usual is None else usual
     forces = series.acceleration - middle
     fast = np.linalg.norm(series.gyro, axis=1) > RATE
     unusual = np.linalg.norm(forces, axis=1) > MEAN_FORCE

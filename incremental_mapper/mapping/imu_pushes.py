@@ -17,6 +17,7 @@ from incremental_mapper.frontend.imu_preintegration import ImuSeries
 from incremental_mapper.frontend.inertial_motion import rotations_after
 from incremental_mapper.frontend.prepared_scan import PreparedScan
 from incremental_mapper.measurements import NANOSECONDS
+from incremental_mapper.quantiles import median
 
 Array = NDArray[np.float64]
 
@@ -93,8 +94,8 @@ class ImuPushes:
         new = [row for item in prepared if (row := self._row(item)) is not None]
         if not new:
             return series
-        told = np.append(self._told, [moment for moment, _ in new])
-        beyond = np.vstack([self._beyond, [speed for _, speed in new]])
+        told = np.concatenate([self._told, [moment for moment, _ in new]])
+        beyond = np.concatenate([self._beyond, [speed for _, speed in new]])
         last = max(moment for moment, _ in new)
         order = np.argsort(told, kind='stable')
         order = order[told[order] > last - LEARNED]
@@ -114,7 +115,7 @@ class ImuPushes:
 
     def _integrate(self, series: ImuSeries) -> None:
         """Take in the samples that are new."""
-        low = int(np.searchsorted(series.stamps, self._last, side='right'))
+        low = int(series.stamps.searchsorted(self._last, side='right'))
         stamps = series.stamps[low:]
         if len(stamps) == 0:
             return
@@ -127,15 +128,17 @@ class ImuPushes:
             if len(stamps) == 0:
                 return
         moments = (stamps - self._origin) / NANOSECONDS
-        steps = np.diff(moments, prepend=self._moments[-1])[:, None]
+        steps = moments.copy()[:, None]
+        steps[0] -= self._moments[-1]
+        steps[1:, 0] -= moments[:-1]
         turns = self._turns[-1] @ rotations_after(series.gyro[low:] @ self._turn.T * steps)
         # What is felt at the end of a step is taken for all of it, along the axes at its beginning.
         forces = series.acceleration[low:] @ self._turn.T
         felt = np.einsum('kij,kj->ki', turns[:-1], forces)
         speeds = self._speeds[-1] + np.cumsum(felt * steps, axis=0)
         shifts = (speeds - 0.5 * felt * steps) * steps
-        keep = int(np.searchsorted(self._moments, moments[-1] - 2.0))
-        self._moments = np.append(self._moments[keep:], moments)
+        keep = int(self._moments.searchsorted(moments[-1] - 2.0))
+        self._moments = np.concatenate([self._moments[keep:], moments])
         self._turns = np.concatenate([self._turns[keep:], turns[1:]])
         self._speeds = np.concatenate([self._speeds[keep:], speeds])
         ways = self._ways[-1] + np.cumsum(shifts, axis=0)
@@ -158,13 +161,23 @@ class ImuPushes:
             return None
         motion = item.T_previous_current
         shift = motion.translation() - self._arm + motion.rotation().matrix() @ self._arm
-        low = min(max(int(np.searchsorted(known, start)) - 1, 0), len(known) - 2)
+        low = min(max(int(known.searchsorted(start)) - 1, 0), len(known) - 2)
         share = (start - known[low]) / (known[low + 1] - known[low])
         turned = (1.0 - share) * (self._turns[low] @ shift) + share * self._turns[low + 1] @ shift
-        own = [np.interp((start, end), known, column) for column in self._ways.T]
-        gathered = np.array([pair[1] - pair[0] for pair in own])
+        gathered = self._way_at(end) - self._way_at(start)
         gathered += max(end - known[-1], 0.0) * self._speeds[-1]
         return 0.5 * (start + end), (turned - gathered) / (end - start)
+
+    def _way_at(self, moment: float) -> Array:
+        """Way (3,) at a moment; what is beyond the last sample is taken for the last."""
+        known = self._moments
+        low = int(known.searchsorted(moment, side='right')) - 1
+        if low >= len(known) - 1:
+            last: Array = self._ways[-1]
+            return last
+        slope = (self._ways[low + 1] - self._ways[low]) / (known[low + 1] - known[low])
+        way: Array = slope * (moment - known[low]) + self._ways[low]
+        return way
 
     def _unsure(self, sensor: str, covariance: Array) -> bool:
         """Whether a match (6, 6) is held weakly, or less than most of its LiDAR are."""
@@ -173,7 +186,7 @@ class ImuPushes:
             return True
         usual = self._certain.setdefault(sensor, deque(maxlen=USUAL))
         usual.append(worst)
-        return worst > UNSURE**2 * float(np.median(usual))
+        return worst > UNSURE**2 * median(usual)
 
     def _doubted(self, last: float) -> tuple[float, float] | None:
         """Since which moment samples are doubted, and m/s that they gathered; None: none are."""
@@ -184,7 +197,7 @@ class ImuPushes:
         if before is None or behind is None:
             return None
         gathered = float(np.linalg.norm(behind - before))
-        usual = float(np.median(self._usual)) if len(self._usual) == USUAL else GATHERED
+        usual = median(self._usual) if len(self._usual) == USUAL else GATHERED
         if gathered < max(GATHERED, UNUSUAL * usual):
             self._usual.append(gathered)
             return None
@@ -192,7 +205,7 @@ class ImuPushes:
 
     def _mean(self, slope: Array, start: float, end: float) -> Array | None:
         """Mean of the rows in (start, end], without gravity; None where they are too few."""
-        low, high = np.searchsorted(self._told, (start, end), side='right')
+        low, high = self._told.searchsorted((start, end), side='right')
         rows = self._beyond[low:high] - self._told[low:high, None] * slope
         return rows.mean(axis=0) if len(rows) > 1 else None
 
@@ -207,7 +220,7 @@ class ImuPushes:
         self._since = None
         until = last if self._slope is None else last - GATHERING
         since = max(self._calm, last - LEARNED)
-        low, high = np.searchsorted(self._told, (since, until), side='right')
+        low, high = self._told.searchsorted((since, until), side='right')
         moments = self._told[low:high]
         if len(moments) < FEWEST or np.ptp(moments) < LEAST:
             return

@@ -111,9 +111,9 @@ class Standstill:
 
     def _keep(self, samples: ImuSeries, end: int) -> None:
         joined = ImuSeries(
-            np.append(self._samples.stamps, samples.stamps),
-            np.vstack([self._samples.gyro, samples.gyro]),
-            np.vstack([self._samples.acceleration, samples.acceleration]),
+            np.concatenate([self._samples.stamps, samples.stamps]),
+            np.concatenate([self._samples.gyro, samples.gyro]),
+            np.concatenate([self._samples.acceleration, samples.acceleration]),
         )
         self._samples = joined.since(end - KEPT)
 

@@ -1,7 +1,7 @@
 """Criteria: what makes one candidate better than another; the lowest score wins."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Protocol
 
@@ -17,8 +17,8 @@ from incremental_mapper.scoring.mom import (
     choose_query_points,
     direct_score,
     direct_variances,
-    fast_scores,
     fast_variances,
+    weighted,
 )
 from incremental_mapper.scoring.ties import planes_of, ties
 
@@ -118,6 +118,10 @@ class Mom:
     query_points: QueryPoints
     direct: bool = False
     exact: bool = True
+    # The proposals that were judged last, and their variances.
+    _judged: list[tuple[tuple[Proposal, ...], NDArray[np.float64]]] = field(
+        default_factory=list, init=False, repr=False
+    )
 
     @property
     def name(self) -> str:
@@ -126,12 +130,11 @@ class Mom:
 
     def scores(self, proposals: Sequence[Proposal]) -> list[float]:
         """See Criterion."""
-        poses = [proposal.poses for proposal in proposals]
         points, local_map, settings = self.query_points, self.local_map, self.settings
         if self.direct:
-            return [direct_score(points, pose, local_map, settings) for pose in poses]
-        found = fast_scores(points, np.array(poses), local_map, settings, self.exact)
-        return [float(score) for score in found]
+            return [direct_score(points, item.poses, local_map, settings) for item in proposals]
+        scores: list[float] = weighted(points, self._variances(proposals)).tolist()
+        return scores
 
     def ties(
         self, proposals: Sequence[Proposal], best: int, confidence: float
@@ -146,15 +149,26 @@ class Mom:
         Returns:
             Whether each ties with the best (C,).
         """
-        poses = [proposal.poses for proposal in proposals]
         points, local_map, settings = self.query_points, self.local_map, self.settings
         if self.direct:
-            each = [direct_variances(points, pose, local_map, settings) for pose in poses]
+            each = [direct_variances(points, item.poses, local_map, settings) for item in proposals]
             variances = np.array(each)
         else:
-            variances = fast_variances(points, np.array(poses), local_map, settings, self.exact)
+            variances = self._variances(proposals)
         planes = planes_of(points.points, points.family, points.axes, settings.radius)
         return ties(variances, best, points.weights, planes, confidence)
+
+    def _variances(self, proposals: Sequence[Proposal]) -> NDArray[np.float64]:
+        """Plane variances (C, P), computed once where the same proposals are asked for again."""
+        asked = tuple(proposals)
+        if self._judged and self._judged[0][0] == asked:
+            return self._judged[0][1]
+        poses = np.array([proposal.poses for proposal in proposals])
+        variances = fast_variances(
+            self.query_points, poses, self.local_map, self.settings, self.exact
+        )
+        self._judged[:] = [(asked, variances)]
+        return variances
 
 
 def mom_criterion(

@@ -161,11 +161,15 @@ def fast_scores(
     keep what neighbours they had there. A candidate with poses that are not finite has the score
     NaN.
     """
-    variances = fast_variances(query_points, poses, local_map, settings, exact)
+    return weighted(query_points, fast_variances(query_points, poses, local_map, settings, exact))
+
+
+def weighted(query_points: QueryPoints, variances: NDArray[np.float64]) -> NDArray[np.float64]:
+    """MOM in m^2 (C,) of candidates by their plane variances (C, P)."""
     # In the batches in which they came, so that the last bit does not depend on how many there are.
     parts = [
         variances[start : start + BATCH] @ query_points.weights
-        for start in range(0, len(poses), BATCH)
+        for start in range(0, len(variances), BATCH)
     ]
     return np.concatenate(parts) if parts else np.empty(0)
 

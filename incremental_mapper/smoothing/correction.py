@@ -20,7 +20,7 @@ from scipy.linalg import block_diag, eigh
 from incremental_mapper.smoothing.batch import eliminate, make_graph
 from incremental_mapper.smoothing.linear_system import Array, layout_of, solve_scaled
 from incremental_mapper.smoothing.marginal_prior import MarginalPrior, triangle
-from incremental_mapper.smoothing.tangent import retracted
+from incremental_mapper.smoothing.tangent import Pivoted, retracted
 from incremental_mapper.variables import cluster_of, kind_of
 
 SHARE = 1e-6
@@ -196,7 +196,8 @@ def with_evidence(prior: MarginalPrior, evidence: Evidence) -> MarginalPrior:
         return grown  # the next window takes it from here
     base = gtsam.Values(prior.base)
     layout = layout_of(prior.keys)
-    base.update(retracted(base.extract(layout.keys), layout, step, prior.pivot))
+    here = Pivoted(base.extract(layout.keys), prior.pivot)
+    base.update(retracted(here, layout, step))
     return replace(
         grown,
         rhs=rest - root @ step,

@@ -6,7 +6,7 @@ since problems are small and there are many; ``batch`` solves whole graphs, by Q
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from math import isfinite
 
 import gtsam
 import numpy as np
@@ -14,7 +14,6 @@ import numpy as np
 from incremental_mapper.smoothing.batch import make_graph
 from incremental_mapper.smoothing.linear_system import (
     Array,
-    Indices,
     Layout,
     PriorRows,
     Rest,
@@ -22,12 +21,7 @@ from incremental_mapper.smoothing.linear_system import (
     layout_of,
 )
 from incremental_mapper.smoothing.marginal_prior import MarginalPrior
-from incremental_mapper.smoothing.tangent import (
-    from_own_columns,
-    linearised,
-    own_step,
-    retracted,
-)
+from incremental_mapper.smoothing.tangent import Pivoted, linearised, retracted
 from incremental_mapper.variables import cluster_of, kind_of, pose_key
 
 AGREEMENT = 1e-4
@@ -47,6 +41,8 @@ are right to about a thousandth of 1 + error."""
 class Solved:
     """Optimised variables: ``step`` (n,) away from where they are in ``start``.
 
+    ``reached`` has them, where they have been made already, and no others.
+
     ``error`` is Σ‖h(x)−z‖²_Σ of the factors, ``cost`` the same with what the prior says against
     the step. ``system`` is all of it, linear somewhere near. ``eliminated`` is the layout of the
     variables that the prior eliminated.
@@ -55,23 +51,26 @@ class Solved:
 
     prior: MarginalPrior
     eliminated: Layout
-    start: gtsam.Values
+    start: Pivoted
     step: Array
+    reached: gtsam.Values | None
     error: float
     cost: float
     system: System
     graph: gtsam.NonlinearFactorGraph | None
 
     def own(self) -> gtsam.Values:
-        """Estimates of the variables that were solved for."""
+        """Estimates of the variables that were solved for; not to be changed."""
+        if self.reached is not None:
+            return self.reached
         layout = self.system.layout
-        here = self.start.extract(layout.keys)
-        return retracted(here, layout, self.step, self.prior.pivot) if self.step.any() else here
+        here = Pivoted(self.start.values.extract(layout.keys), self.start.pivot)
+        return retracted(here, layout, self.step)
 
     @property
     def values(self) -> gtsam.Values:
         """All estimates, those of eliminated variables included."""
-        values, known, prior = self.own(), self.system.known, self.prior
+        values, known, prior = gtsam.Values(self.own()), self.system.known, self.prior
         moved = prior.pending_delta + prior.gains @ self.system.total[:known]
         before = prior.base.extract(prior.eliminated)
         values.insert(before.retract(self.eliminated.vector_values(moved)))
@@ -80,8 +79,11 @@ class Solved:
     def pose(self, key: int) -> gtsam.Pose3 | None:
         """Estimate of one pose; None where it is neither solved for nor eliminated."""
         if (place := self.system.layout.places.get(key)) is not None:
-            before = self.start.atPose3(key)
-            return before.retract(own_step(before, self.step[place], self.prior.pivot))
+            if self.reached is not None:
+                return self.reached.atPose3(key)
+            return self.start.values.atPose3(key).retract(
+                self.start.own_step(key, self.step[place])
+            )
         if (place := self.eliminated.places.get(key)) is not None:
             moved = self.prior.gains[place] @ self.system.total[: self.system.known]
             return self.prior.base.atPose3(key).retract(self.prior.pending_delta[place] + moved)
@@ -91,7 +93,8 @@ class Solved:
         """The system, linearised at the solution."""
         if self.graph is None or not self.step.any():
             return self.system
-        rows = linearised(self.system.layout, self.graph, self.own(), self.prior.pivot)
+        here = Pivoted(self.own(), self.prior.pivot)
+        rows = linearised(self.system.layout, self.graph, here)
         return self.system.relinearized(*rows)
 
 
@@ -124,24 +127,24 @@ class Problem:
         """
         graph = make_graph(factors)
         layout = self._known.followed_by([*variables, *graph.keyVector()])
-        values = self.values.extract(layout.keys)
-        system = self._system(layout, *linearised(layout, graph, values, self._prior.pivot))
-        return self._descend(graph, values, system)
+        here = Pivoted(self.values.extract(layout.keys), self._prior.pivot)
+        system = self._system(layout, *linearised(layout, graph, here))
+        return self._descend(graph, here, system)
 
     def refine(self, solved: Solved, factors: Iterable[gtsam.NonlinearFactor]) -> Solved | None:
         """Go on from the solution of the same factors until it has truly converged."""
         if solved.graph is not None:
             return solved
-        graph, values = make_graph(factors), solved.own()
-        layout, pivot = solved.system.layout, self._prior.pivot
-        system = solved.system.relinearized(*linearised(layout, graph, values, pivot))
-        return self._descend(graph, values, system)
+        graph, here = make_graph(factors), Pivoted(solved.own(), self._prior.pivot)
+        system = solved.system.relinearized(*linearised(solved.system.layout, graph, here))
+        return self._descend(graph, here, system)
 
     def _descend(
-        self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, system: System
+        self, graph: gtsam.NonlinearFactorGraph, here: Pivoted, system: System
     ) -> Solved | None:
-        layout, error, pivot = system.layout, 2.0 * graph.error(values), self._prior.pivot
-        cost, start, last = error + system.prior_error, values, np.zeros(layout.size)
+        """Gauss-Newton from ``here``, where the system was linearised."""
+        layout, error, pivot = system.layout, 2.0 * graph.error(here.values), here.pivot
+        cost, last, there = error + system.prior_error, np.zeros(layout.size), here.values
         for _ in range(self._max_iterations):
             best = system.best()
             if best is None:
@@ -150,7 +153,7 @@ class Problem:
             if system.cost - expected.cost <= AT_REST * (1.0 + cost):
                 break
             for _ in range(HALVINGS):
-                moved = retracted(values, layout, step, pivot)
+                moved = retracted(here, layout, step)
                 reached = 2.0 * graph.error(moved)
                 better = reached + expected.prior_error <= cost * (1.0 + 1e-6) + 1e-9
                 if better:
@@ -163,15 +166,15 @@ class Problem:
             converged = (
                 abs(reached - expected.error) <= small or system.cost - expected.cost <= small
             )
-            start, last, values, error, system = values, step, moved, reached, expected
+            last, there, error, system = step, moved, reached, expected
             cost = error + system.prior_error
             if converged:
                 break
-            system = system.relinearized(*linearised(layout, graph, values, pivot))
-            start, last = values, np.zeros(layout.size)
-        if not np.isfinite(error):
+            here, last = Pivoted(moved, pivot), np.zeros(layout.size)
+            system = system.relinearized(*linearised(layout, graph, here))
+        if not isfinite(error):
             return None
-        return self._solved(start, last, error, system, graph)
+        return self._solved(here, last, there, error, system, graph)
 
     def _system(self, layout: Layout, rows: Array, rhs: Array) -> System:
         """The prior and factors around ``values``."""
@@ -182,8 +185,9 @@ class Problem:
 
     def _solved(
         self,
-        start: gtsam.Values,
+        start: Pivoted,
         step: Array,
+        reached: gtsam.Values | None,
         error: float,
         system: System,
         graph: gtsam.NonlinearFactorGraph | None,
@@ -193,6 +197,7 @@ class Problem:
             eliminated=self._eliminated,
             start=start,
             step=step,
+            reached=reached,
             error=error,
             cost=error + system.prior_error,
             system=system,
@@ -204,19 +209,15 @@ class SharedProblem(Problem):
     """Sets of factors on top of one prior that have most of their factors in common.
 
     A window's candidates are such sets. The first one is solved by itself. The others are linear
-    around its solution, where each factor is linearised once, whatever number of sets it is in.
+    around its solution: all that they need is one linear step.
     A set whose solution is not NEAR, or changes the weight of a robust factor, is solved by itself.
     ``values`` must hold all variables of a set before it is solved.
     """
 
     def __init__(self, prior: MarginalPrior, max_iterations: int) -> None:
         super().__init__(prior, gtsam.Values(), max_iterations)
-        self._linear: dict[int, _Linear] = {}
-        self._own_steps: dict[int, Array] = {}
-        # Columns of the variables of all sets together.
-        self._all = Layout(())
-        self._columns: dict[int, Indices] = {}
-        self._add_columns(prior.keys)
+        self._looked: dict[int, _Looked] = {}
+        self._here = Pivoted(self.values, prior.pivot)  # of all sets but the first
         self._started = False
 
     def solve_next(self, factors: Sequence[gtsam.NonlinearFactor]) -> Solved | None:
@@ -226,25 +227,27 @@ class SharedProblem(Problem):
             if solved is not None:
                 self._start_from(solved)
             return solved
-        linear = [self._linearized(factor) for factor in factors]
-        layout = self._known.followed_by(key for item in linear for key in item.keys)
-        system = self._system(layout, *self._gathered(linear, layout))
+        looked = [self._look(factor) for factor in factors]
+        layout = self._known.followed_by(key for item in looked for key in item.keys)
+        graph = make_graph(factors)
+        system = self._system(layout, *linearised(layout, graph, self._here))
         best = system.best()
         if best is None or not _is_near(best[0], layout):
             return self.solve(factors)
         step, there = best
-        error = there.error + sum(item.apart for item in linear)
-        solved = self._solved(self.values, step, error, there, None)
-        if any(self._reweighs(item, step, layout, error) for item in linear if item.robust):
+        robust = [item.robust for item in looked if item.robust is not None]
+        error = there.error + sum(item.apart for item in robust)
+        solved = self._solved(self._here, step, None, error, there, None)
+        if any(self._reweighs(item, step, layout, error) for item in robust):
             return self.refine(solved, factors)
         return solved
 
-    def _reweighs(self, item: '_Linear', step: Array, layout: Layout, error: float) -> bool:
+    def _reweighs(self, item: '_Robust', step: Array, layout: Layout, error: float) -> bool:
         """Whether a robust factor's error differs from the linear one after a step."""
-        own = layout_of(item.keys)
-        moved = step[layout.columns(item.keys)]
-        values = retracted(self.values.extract(item.keys), own, moved, self._prior.pivot)
-        rest = item.entries.reshape(-1, len(moved)) @ moved - item.rhs
+        moved = step[layout.columns(item.layout.keys)]
+        here = Pivoted(self.values.extract(item.layout.keys), self._prior.pivot)
+        values = retracted(here, item.layout, moved)
+        rest = item.rows @ moved - item.rhs
         linear = float(rest @ rest) + item.apart
         return abs(2.0 * item.factor.error(values) - linear) > AGREEMENT * (1.0 + error)
 
@@ -255,86 +258,48 @@ class SharedProblem(Problem):
         self._rhs = self._prior.rhs - self._prior.root @ self._total
         self.values.update(solved.own())
 
-    def _gathered(self, linear: Sequence['_Linear'], layout: Layout) -> tuple[Array, Array]:
-        """Rows (r, n) and right-hand sides (r,) of a set's factors."""
-        rhs = np.concatenate([item.rhs for item in linear])
-        # Where a column of all sets' variables stands among those of this set.
-        place = np.empty(self._all.size, dtype=np.intp)
-        place[np.concatenate([self._columns[key] for key in layout.places])] = np.arange(
-            layout.size
-        )
-        starts = np.cumsum([0, *(len(item.rhs) for item in linear[:-1])])
-        lines = np.concatenate([item.lines for item in linear])
-        lines += np.repeat(starts, [len(item.lines) for item in linear])
-        lines *= layout.size
-        lines += place.take(np.concatenate([item.columns for item in linear]))
-        rows = np.zeros((len(rhs), layout.size))
-        rows.reshape(-1)[lines] = np.concatenate([item.entries for item in linear])
-        return rows, rhs
-
-    def _linearized(self, factor: gtsam.NonlinearFactor) -> '_Linear':
-        known = self._linear.get(id(factor))
+    def _look(self, factor: gtsam.NonlinearFactor) -> '_Looked':
+        """What is to be known of a factor, found out once."""
+        known = self._looked.get(id(factor))
         if known is None:
-            jacobian = factor.linearize(self.values)
-            keys, rows = tuple(jacobian.keys()), jacobian.augmentedJacobian()
-            entries, rhs = rows[:, :-1], rows[:, -1].copy()
+            keys = tuple(factor.keys())
             # The step of a velocity turns with its pose.
             poses = (pose_key(cluster_of(key)) for key in keys if kind_of(key) == 'v')
             lacking = [key for key in poses if key not in keys and self.values.exists(key)]
-            if lacking:
-                keys = (*keys, *lacking)
-                entries = np.hstack([entries, np.zeros((len(rows), 6 * len(lacking)))])
-            pivot = self._prior.pivot
-            from_own_columns(entries, layout_of(keys), self.values, pivot, self._own_steps)
-            self._add_columns(keys)
-            own = np.concatenate([self._columns[key] for key in keys])
-            columns = np.broadcast_to(own, entries.shape).ravel()
+            keys = (*keys, *lacking)
             model = getattr(factor, 'noiseModel', lambda: None)()
-            robust = isinstance(model, gtsam.noiseModel.Robust)
-            known = _Linear(
-                factor=factor,
-                keys=keys,
-                entries=entries.ravel(),
-                lines=_line_numbers(*entries.shape),
-                columns=columns,
-                rhs=rhs,
-                apart=2.0 * factor.error(self.values) - float(rhs @ rhs) if robust else 0.0,
-                robust=robust,
-            )
-            self._linear[id(factor)] = known
+            robust = None
+            if isinstance(model, gtsam.noiseModel.Robust):
+                layout = layout_of(keys)
+                rows, rhs = linearised(layout, make_graph([factor]), self._here)
+                apart = 2.0 * factor.error(self.values) - float(rhs @ rhs)
+                robust = _Robust(factor, layout, rows, rhs, apart)
+            known = self._looked[id(factor)] = _Looked(factor, keys, robust)
         return known
-
-    def _add_columns(self, keys: Iterable[int]) -> None:
-        self._all.append(keys)
-        for key in keys:
-            if key not in self._columns:
-                place = self._all.places[key]
-                self._columns[key] = np.arange(place.start, place.stop)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Linear:
-    """A factor as whitened rows over its ``keys``.
+class _Robust:
+    """A robust factor as whitened ``rows`` (r, n) and ``rhs`` (r,) over the keys of its ``layout``.
 
-    ``entries`` are the rows' numbers one after the other, each with its row in ``lines`` and its
-    column, among those of all sets, in ``columns``. ``apart`` is the true Σ‖h(x)−z‖²_Σ less the
-    linear one: that of a robust loss grows slower than the square that stands for it.
+    ``apart`` is the true Σ‖h(x)−z‖²_Σ less the linear one: that of a robust loss grows slower than
+    the square that stands for it.
     """
 
     factor: gtsam.NonlinearFactor
-    keys: tuple[int, ...]
-    entries: Array
-    lines: Indices
-    columns: Indices
+    layout: Layout
+    rows: Array
     rhs: Array
     apart: float
-    robust: bool
 
 
-@lru_cache(maxsize=64)
-def _line_numbers(rows: int, columns: int) -> Indices:
-    """The row of every entry of a matrix (rows, columns)."""
-    return np.repeat(np.arange(rows), columns)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Looked:
+    """A factor, its keys with the poses of its velocities, and what it is where it is robust."""
+
+    factor: gtsam.NonlinearFactor
+    keys: tuple[int, ...]
+    robust: _Robust | None
 
 
 def _is_near(step: Array, layout: Layout) -> bool:
@@ -355,7 +320,7 @@ def linear_system(
     prior: MarginalPrior, layout: Layout, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values
 ) -> System:
     """The prior and factors, linearised at ``values``."""
-    rows, rhs = linearised(layout, graph, values, prior.pivot)
+    rows, rhs = linearised(layout, graph, Pivoted(values, prior.pivot))
     regularising = np.zeros(layout.size - prior.root.shape[1])
     total = np.zeros(layout.size)
     return System(PriorRows(prior.root), layout, rows, Rest(prior.rhs, regularising, rhs), total)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dpotrs
 
 from incremental_mapper.compiled import kernel
-from incremental_mapper.variables import cluster_of, kind_of, pose_key
+from incremental_mapper.variables import LETTER, cluster_of, pose_key
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -25,6 +25,8 @@ REGULARISING_SIGMA = 1e3
 
 DIMENSIONS = {'x': 6, 'v': 3, 'b': 6}
 """Numbers of a tangent step, by the kind of the variable: pose, velocity, bias."""
+_SIZES = {ord(letter): size for letter, size in DIMENSIONS.items()}
+_POSE, _VELOCITY = ord('x'), ord('v')
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,26 +43,21 @@ class VelocityPlace:
 
 
 class Layout:
-    """Where each variable's tangent step stands in a stacked vector."""
+    """Where each variable's tangent step stands in a stacked vector; it never changes."""
 
-    __slots__ = ('_poses', '_velocities', 'places', 'size')
+    __slots__ = ('_columns', '_poses', '_velocities', 'places', 'size')
 
     def __init__(self, keys: Iterable[int]) -> None:
-        self.places: dict[int, slice] = {}
-        self.size = 0
-        self._poses: tuple[tuple[int, slice], ...] | None = None
-        self._velocities: tuple[VelocityPlace, ...] | None = None
-        self.append(keys)
-
-    def append(self, keys: Iterable[int]) -> None:
-        """Add those of the ``keys`` that are not there yet."""
-        places, end = self.places, self.size
+        places: dict[int, slice] = {}
+        end = 0
         for key in keys:
             if key not in places:
-                start, end = end, end + DIMENSIONS[kind_of(key)]
+                start, end = end, end + _SIZES[key >> LETTER]
                 places[key] = slice(start, end)
-        if end != self.size:
-            self.size, self._poses, self._velocities = end, None, None
+        self.places, self.size = places, end
+        self._poses: tuple[tuple[int, slice], ...] | None = None
+        self._velocities: tuple[VelocityPlace, ...] | None = None
+        self._columns: dict[tuple[int, ...], Indices] = {}
 
     @property
     def keys(self) -> tuple[int, ...]:
@@ -72,7 +69,7 @@ class Layout:
         """The poses among the variables, and where they stand."""
         if self._poses is None:
             self._poses = tuple(
-                (key, place) for key, place in self.places.items() if kind_of(key) == 'x'
+                (key, place) for key, place in self.places.items() if key >> LETTER == _POSE
             )
         return self._poses
 
@@ -82,7 +79,7 @@ class Layout:
         if self._velocities is None:
             found = []
             for key, place in self.places.items():
-                if kind_of(key) == 'v':
+                if key >> LETTER == _VELOCITY:
                     pose = pose_key(cluster_of(key))
                     at = self.places.get(pose)
                     if at is not None:
@@ -93,18 +90,20 @@ class Layout:
 
     def followed_by(self, keys: Iterable[int]) -> 'Layout':
         """The same with those of the ``keys`` behind that it lacks."""
-        longer = Layout(())
-        longer.places, longer.size = dict(self.places), self.size
-        longer.append(keys)
-        return longer
+        places = self.places
+        return layout_of((*places, *dict.fromkeys(key for key in keys if key not in places)))
 
     def columns(self, keys: Iterable[int]) -> Indices:
-        """Positions of the variables' steps, one after the other."""
-        found: list[int] = []
-        for key in keys:
-            place = self.places[key]
-            found.extend(range(place.start, place.stop))
-        return np.array(found, dtype=np.intp)
+        """Positions of the variables' steps, one after the other; not to be changed."""
+        asked = tuple(keys)
+        known = self._columns.get(asked)
+        if known is None:
+            found: list[int] = []
+            for key in asked:
+                place = self.places[key]
+                found.extend(range(place.start, place.stop))
+            known = self._columns[asked] = np.array(found, dtype=np.intp)
+        return known
 
     def vector_values(self, step: Array) -> gtsam.VectorValues:
         """A stacked step (size,) as GTSAM's container."""
@@ -116,7 +115,7 @@ class Layout:
 
 @lru_cache(maxsize=64)
 def layout_of(keys: tuple[int, ...]) -> Layout:
-    """The layout of these variables; others may hold the same one, so nothing may be appended."""
+    """The layout of these variables, made once: windows ask for the same ones again and again."""
     return Layout(keys)
 
 

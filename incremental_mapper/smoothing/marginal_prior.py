@@ -15,7 +15,7 @@ import numpy as np
 from scipy.linalg.lapack import dgeqrf, dtrtrs
 
 from incremental_mapper.smoothing.linear_system import Array, Layout, layout_of, solve_scaled
-from incremental_mapper.smoothing.tangent import move_pivot, to_base_rows, to_own_rows
+from incremental_mapper.smoothing.tangent import Pivoted, move_pivot, to_base_rows, to_own_rows
 from incremental_mapper.variables import cluster_of, kind_of, pose_key
 
 
@@ -93,7 +93,7 @@ class MarginalPrior:
         """The matrix (n, n) that makes GTSAM's steps of the frontier of those about the pivot."""
         layout = layout_of(self.keys)
         matrix = np.eye(layout.size)
-        to_own_rows(matrix, layout, self.base, self.pivot)
+        to_own_rows(matrix, layout, Pivoted(self.base, self.pivot))
         return matrix
 
     def _moved(self, keys: tuple[int, ...], step: Array) -> gtsam.Values:
@@ -117,11 +117,12 @@ class MarginalPrior:
         solution = solve_scaled(self.root.T @ self.root, unit)
         if solution is None:
             return None
-        to_base_rows(solution, layout, self.base, self.pivot)
+        here = Pivoted(self.base, self.pivot)
+        to_base_rows(solution, layout, here)
         half = solution[columns].T.copy()
         joint = np.zeros((layout.size, len(columns)))
         joint[columns] = half
-        to_base_rows(joint, layout, self.base, self.pivot)
+        to_base_rows(joint, layout, here)
         return joint[columns]
 
 
@@ -218,7 +219,7 @@ def _own(
     """Steps (f, k + 1) of dropped variables, with unit steps of the kept ones, as GTSAM's."""
     layout, count = Layout(dropped + kept), len(steps)
     moves = np.vstack([steps, np.eye(layout.size - count, steps.shape[1])])
-    to_own_rows(moves, layout, prior.base, prior.pivot)
+    to_own_rows(moves, layout, Pivoted(prior.base, prior.pivot))
     return moves[:count]
 
 

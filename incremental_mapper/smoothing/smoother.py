@@ -15,7 +15,7 @@ from incremental_mapper.smoothing.marginal_prior import (
     triangle,
     with_poses,
 )
-from incremental_mapper.smoothing.tangent import from_own_columns
+from incremental_mapper.smoothing.tangent import Pivoted, from_own_columns
 from incremental_mapper.variables import cluster_of, copy_value
 
 
@@ -141,7 +141,7 @@ def marginal_prior_of(
         moved = split.conditional.optimize(layout.vector_values(unit))
         for key, place in eliminated_layout.places.items():
             gains[place, column] = moved.at(key) - at_rest.at(key)
-    from_own_columns(gains, layout, values, pivot)
+    from_own_columns(gains, layout, Pivoted(values, pivot))
     inside = [key for key in values.keys() if cluster_of(key) in newer]  # noqa: SIM118
     gone = [key for key in values.keys() if cluster_of(key) not in newer]  # noqa: SIM118
     prior = MarginalPrior(

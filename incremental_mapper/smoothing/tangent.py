@@ -18,18 +18,62 @@ import numpy as np
 from incremental_mapper.smoothing.linear_system import Array, Layout
 
 
-def retracted(values: gtsam.Values, layout: Layout, step: Array, pivot: Array) -> gtsam.Values:
+class Pivoted:
+    """Values of variables, and the pivot (3,) in the map that steps away from them are about.
+
+    What turns such steps into GTSAM's is computed once for each variable: values that are there may
+    not change, others may be inserted.
+    """
+
+    __slots__ = ('_from_pivot', '_own_steps', '_swings', 'pivot', 'values')
+
+    def __init__(self, values: gtsam.Values, pivot: Array) -> None:
+        self.values = values
+        self.pivot = pivot
+        self._from_pivot: dict[int, gtsam.Pose3] = {}
+        self._own_steps: dict[int, Array] = {}
+        self._swings: dict[int, Array] = {}
+
+    def own_step(self, key: int, step: Array) -> Array:
+        """GTSAM's step (6,) of a pose for one about the pivot."""
+        own: Array = self._seen_from_pivot(key).Adjoint(step)
+        return own
+
+    def own_steps(self, key: int) -> Array:
+        """The matrix (6, 6) that makes GTSAM's steps of a pose of those about the pivot."""
+        matrix = self._own_steps.get(key)
+        if matrix is None:
+            matrix = self._own_steps[key] = self._seen_from_pivot(key).AdjointMap()
+        return matrix
+
+    def swing(self, key: int) -> Array:
+        """The matrix (3, 3) that tells by what a turn of its pose changes a velocity, negated."""
+        matrix = self._swings.get(key)
+        if matrix is None:
+            matrix = self._swings[key] = gtsam.Rot3.Hat(self.values.atVector(key))
+        return matrix
+
+    def _seen_from_pivot(self, key: int) -> gtsam.Pose3:
+        """The pivot as a pose sees it, the map's axes at the pivot."""
+        seen = self._from_pivot.get(key)
+        if seen is None:
+            pose = self.values.atPose3(key)
+            about = gtsam.Pose3(pose.rotation(), pose.translation() - self.pivot)
+            seen = self._from_pivot[key] = about.inverse()
+        return seen
+
+
+def retracted(here: Pivoted, layout: Layout, step: Array) -> gtsam.Values:
     """The variables of a layout after a step.
 
     Args:
-        values: Values of these variables, and of no others.
+        here: Values of these variables, and of no others.
         layout: Where each one's step stands.
         step: All steps (n,), see above.
-        pivot: What they are about (3,), metres in the map.
     """
-    own = step.copy()
+    own, values = step.copy(), here.values
     for key, place in layout.poses:
-        own[place] = own_step(values.atPose3(key), step[place], pivot)
+        own[place] = here.own_step(key, step[place])
     for velocity in layout.velocities:
         before = values.atVector(velocity.key)
         turned = gtsam.Rot3.Expmap(step[velocity.turn]).rotate(before)
@@ -37,86 +81,55 @@ def retracted(values: gtsam.Values, layout: Layout, step: Array, pivot: Array) -
     return values.retract(layout.vector_values(own))
 
 
-def own_step(pose: gtsam.Pose3, step: Array, pivot: Array) -> Array:
-    """GTSAM's step (6,) of a pose for one about a pivot."""
-    own: Array = _from_pivot(pose, pivot).Adjoint(step)
-    return own
-
-
-def own_steps(pose: gtsam.Pose3, pivot: Array) -> Array:
-    """The matrix (6, 6) that makes GTSAM's steps of a pose of those about a pivot."""
-    matrix: Array = _from_pivot(pose, pivot).AdjointMap()
-    return matrix
-
-
-def _from_pivot(pose: gtsam.Pose3, pivot: Array) -> gtsam.Pose3:
-    return gtsam.Pose3(pose.rotation(), pose.translation() - pivot).inverse()
-
-
 def linearised(
-    layout: Layout, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, pivot: Array
+    layout: Layout, graph: gtsam.NonlinearFactorGraph, here: Pivoted
 ) -> tuple[Array, Array]:
     """Whitened factors (r, n) over steps as above, and their right-hand sides (r,)."""
-    augmented = graph.linearize(values).augmentedJacobian()
+    augmented = graph.linearize(here.values).augmentedJacobian()
     rows = np.zeros((len(augmented), layout.size))
     rows[:, layout.columns(graph.keyVector())] = augmented[:, :-1]
-    from_own_columns(rows, layout, values, pivot)
+    from_own_columns(rows, layout, here)
     return rows, augmented[:, -1].copy()
 
 
-def from_own_columns(
-    rows: Array,
-    layout: Layout,
-    values: gtsam.Values,
-    pivot: Array,
-    known: dict[int, Array] | None = None,
-) -> None:
+def from_own_columns(rows: Array, layout: Layout, here: Pivoted) -> None:
     """Turn columns for GTSAM's steps into those for steps as above.
 
     Args:
         rows: Jacobian (m, n), changed in place.
         layout: Where each variable's columns are.
-        values: Where it was linearised.
-        pivot: What the steps are about (3,), metres in the map.
-        known: ``own_steps`` of some poses, to which those of the others are added.
+        here: Where it was linearised.
     """
-    known = {} if known is None else known
     for key, place in layout.poses:
-        matrix = known.get(key)
-        if matrix is None:
-            matrix = known[key] = own_steps(values.atPose3(key), pivot)
-        rows[:, place] = rows[:, place] @ matrix
+        rows[:, place] = rows[:, place] @ here.own_steps(key)
     for velocity in layout.velocities:
-        swing = gtsam.Rot3.Hat(values.atVector(velocity.key))
-        rows[:, velocity.turn] -= rows[:, velocity.place] @ swing
+        rows[:, velocity.turn] -= rows[:, velocity.place] @ here.swing(velocity.key)
 
 
-def to_own_rows(rows: Array, layout: Layout, values: gtsam.Values, pivot: Array) -> None:
+def to_own_rows(rows: Array, layout: Layout, here: Pivoted) -> None:
     """Turn steps as above into GTSAM's.
 
     Args:
         rows: Steps (n, k), k of them, changed in place.
         layout: Where each variable's rows are.
-        values: Where they start.
-        pivot: What they are about (3,), metres in the map.
+        here: Where they start.
     """
     for velocity in layout.velocities:
-        swing = gtsam.Rot3.Hat(values.atVector(velocity.key))
-        rows[velocity.place] -= swing @ rows[velocity.turn]
+        rows[velocity.place] -= here.swing(velocity.key) @ rows[velocity.turn]
     for key, place in layout.poses:
-        rows[place] = own_steps(values.atPose3(key), pivot) @ rows[place]
+        rows[place] = here.own_steps(key) @ rows[place]
 
 
-def to_base_rows(rows: Array, layout: Layout, values: gtsam.Values, pivot: Array) -> None:
+def to_base_rows(rows: Array, layout: Layout, here: Pivoted) -> None:
     """As ``to_own_rows``, with the steps of velocities along the axes of their poses.
 
     A velocity as the vehicle itself sees it: the attitude has no part in its step.
     """
     for velocity in layout.velocities:
-        rotation = values.atPose3(velocity.pose_key).rotation()
+        rotation = here.values.atPose3(velocity.pose_key).rotation()
         rows[velocity.place] = rotation.matrix().T @ rows[velocity.place]
     for key, place in layout.poses:
-        rows[place] = own_steps(values.atPose3(key), pivot) @ rows[place]
+        rows[place] = here.own_steps(key) @ rows[place]
 
 
 def move_pivot(rows: Array, layout: Layout, shift: Array) -> None:

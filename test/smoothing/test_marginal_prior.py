@@ -20,7 +20,7 @@ from incremental_mapper.smoothing.gauss_newton import Problem
 from incremental_mapper.smoothing.linear_system import Layout, solve_scaled
 from incremental_mapper.smoothing.marginal_prior import MarginalPrior, marginalise, trimmed
 from incremental_mapper.smoothing.smoother import marginal_prior_of, smoother_update
-from incremental_mapper.smoothing.tangent import own_steps
+from incremental_mapper.smoothing.tangent import Pivoted
 from incremental_mapper.variables import bias_key, pose_key, velocity_key
 
 SECOND = 1_000_000_000
@@ -99,7 +99,7 @@ def test_prior_is_the_marginal_and_the_conditional_of_the_whole_graph(seed):
     expected = whole.marginalCovariance(newest)
     assert np.abs(prior.covariance(newest) - expected).max() <= 2e-3 * np.abs(expected).max()
     # A gain is the covariance with the frontier, times the frontier's information.
-    own = own_steps(prior.base.atPose3(newest), prior.pivot)
+    own = Pivoted(prior.base, prior.pivot).own_steps(newest)
     for i in (3, 10):
         joint = whole.jointMarginalCovariance([pose_key(i), newest]).fullMatrix()
         place = Layout(prior.eliminated).columns([pose_key(i)])

@@ -15,10 +15,9 @@ from incremental_mapper.graph.factors import (
 from incremental_mapper.smoothing.batch import make_graph
 from incremental_mapper.smoothing.linear_system import Layout
 from incremental_mapper.smoothing.tangent import (
+    Pivoted,
     linearised,
     move_pivot,
-    own_step,
-    own_steps,
     retracted,
     to_base_rows,
     to_own_rows,
@@ -62,7 +61,7 @@ def test_one_step_turns_all_of_a_drive_wherever_it_is(seed, turn):
     step = np.zeros(LAYOUT.size)
     for _, place in LAYOUT.poses:
         step[place] = np.concatenate([up, np.cross(up, pivot - centre)])
-    moved = retracted(values, LAYOUT, step, pivot)
+    moved = retracted(Pivoted(values, pivot), LAYOUT, step)
     rotation = gtsam.Rot3.Yaw(turn)
     for cluster in (0, 1):
         before, after = (item.atPose3(pose_key(cluster)) for item in (values, moved))
@@ -77,9 +76,10 @@ def test_one_step_turns_all_of_a_drive_wherever_it_is(seed, turn):
 def test_rows_are_how_errors_change_with_a_step(seed):
     rng = np.random.default_rng(seed)
     values, graph, pivot = anywhere(rng), measured(rng), rng.normal(size=3) * 20.0
-    rows, rhs = linearised(LAYOUT, graph, values, pivot)
+    rows, rhs = linearised(LAYOUT, graph, Pivoted(values, pivot))
     step = rng.normal(size=LAYOUT.size) * 1e-6
-    _, after = linearised(LAYOUT, graph, retracted(values, LAYOUT, step, pivot), pivot)
+    moved = retracted(Pivoted(values, pivot), LAYOUT, step)
+    _, after = linearised(LAYOUT, graph, Pivoted(moved, pivot))
     assert after - rhs == pytest.approx(-rows @ step, abs=2e-8)
 
 
@@ -89,9 +89,9 @@ def test_same_motion_about_another_pivot(seed):
     rng = np.random.default_rng(seed)
     values, graph = anywhere(rng), measured(rng)
     first, second = rng.normal(size=(2, 3)) * 20.0
-    rows, _ = linearised(LAYOUT, graph, values, first)
+    rows, _ = linearised(LAYOUT, graph, Pivoted(values, first))
     move_pivot(rows, LAYOUT, second - first)
-    expected, _ = linearised(LAYOUT, graph, values, second)
+    expected, _ = linearised(LAYOUT, graph, Pivoted(values, second))
     assert rows == pytest.approx(expected, abs=1e-9)
 
 
@@ -101,20 +101,20 @@ def test_own_rows_are_the_steps_that_gtsam_takes_for_the_same_motion(seed):
     rng = np.random.default_rng(seed)
     values, pivot = anywhere(rng), rng.normal(size=3) * 20.0
     step = rng.normal(size=LAYOUT.size) * 1e-6
-    moved = retracted(values, LAYOUT, step, pivot)
+    moved = retracted(Pivoted(values, pivot), LAYOUT, step)
     rows = step[:, None].copy()
-    to_own_rows(rows, LAYOUT, values, pivot)
+    to_own_rows(rows, LAYOUT, Pivoted(values, pivot))
     found = values.localCoordinates(moved)
     for key, place in LAYOUT.places.items():
         assert rows[place, 0] == pytest.approx(found.at(key), abs=1e-10)
+    here = Pivoted(values, pivot)
     for key, place in LAYOUT.poses:
-        pose = values.atPose3(key)
-        assert own_step(pose, step[place], pivot) == pytest.approx(
-            own_steps(pose, pivot) @ step[place], abs=1e-15
+        assert here.own_step(key, step[place]) == pytest.approx(
+            here.own_steps(key) @ step[place], abs=1e-15
         )
     # Along the axes of base_link a velocity changes as the vehicle sees it.
     rows = step[:, None].copy()
-    to_base_rows(rows, LAYOUT, values, pivot)
+    to_base_rows(rows, LAYOUT, Pivoted(values, pivot))
     for velocity in LAYOUT.velocities:
         before, after = (
             item.atPose3(velocity.pose_key).rotation().unrotate(item.atVector(velocity.key))
@@ -129,5 +129,5 @@ def test_velocity_without_its_pose_just_gets_its_step():
     values.insert(pose_key(0), gtsam.Pose3())
     step = np.array([0.1, 0.0, -0.1, 0.0, 0.0, 0.7, 0.0, 0.0, 0.0])
     assert layout.velocities == ()
-    moved = retracted(values, layout, step, np.zeros(3))
+    moved = retracted(Pivoted(values, np.zeros(3)), layout, step)
     assert moved.atVector(velocity_key(7)) == pytest.approx([1.1, 2.0, 2.9])
