@@ -52,11 +52,34 @@ class Shape:
         degrees: Latitude and longitude (K, 2) as received.
         local: Position of the antenna by odometry (K, 2), metres.
         sigma: Median horizontal deviation of the fixes, metres.
+        stretches: Number (K,) of the stretch, without a hole in odometry, that each lies in; None
+            where there is only one. Over a hole odometry is a guess, which may turn and shift what
+            follows by metres.
     """
 
     degrees: NDArray[np.float64]
     local: NDArray[np.float64]
     sigma: float
+    stretches: NDArray[np.int64] | None = None
+
+    @property
+    def bent(self) -> float:
+        """Metres in the smaller direction of odometry's track, root mean square."""
+        spread = np.linalg.svd(self.local - self.local.mean(axis=0), compute_uv=False)
+        return float(spread[1] / np.sqrt(len(self.local)))
+
+    @property
+    def extent(self) -> float:
+        """Metres from corner to corner of odometry's track."""
+        return float(np.hypot(*np.ptp(self.local, axis=0)))
+
+    def longest(self) -> 'Shape':
+        """Its longest stretch, by the number of fixes."""
+        if self.stretches is None:
+            return self
+        numbers, counts = np.unique(self.stretches, return_counts=True)
+        inside = self.stretches == numbers[counts.argmax()]
+        return Shape(self.degrees[inside], self.local[inside], self.sigma)
 
 
 def shape_finding(sensor: str, shape: Shape) -> Finding | None:
@@ -70,18 +93,12 @@ def shape_finding(sensor: str, shape: Shape) -> Finding | None:
         ``exchanged_degrees`` or ``lost_sign``, mended; ``track_stretched``, an error; None where
         the shapes agree, or where none of these is what is wrong.
     """
-    if len(shape.local) < FEWEST:
-        return None
-    spread = np.linalg.svd(shape.local - shape.local.mean(axis=0), compute_uv=False)
-    extent = float(np.hypot(*np.ptp(shape.local, axis=0)))
-    narrow = float(spread[1]) / np.sqrt(len(shape.local))
-    if narrow < BENT or extent < LENGTH:
+    if len(shape.local) < FEWEST or shape.bent < BENT or shape.extent < LENGTH:
         return None
     now = misfit(metres(shape.degrees), shape.local)
-    least = MISFIT * extent + NOISE * shape.sigma
+    least = MISFIT * shape.extent + NOISE * shape.sigma
     if now < least:
-        stretched = narrow >= WIDE and now >= STRETCHED * extent + NOISE * shape.sigma
-        return _stretched(sensor, shape, now) if stretched else None
+        return _stretched(sensor, shape.longest())
     latitude, longitude = shape.degrees.T
     causes = []
     if np.abs(longitude).max() <= 90.0:
@@ -107,8 +124,13 @@ def shape_finding(sensor: str, shape: Shape) -> Finding | None:
     )
 
 
-def _stretched(sensor: str, shape: Shape, now: float) -> Finding | None:
+def _stretched(sensor: str, shape: Shape) -> Finding | None:
     """A track that is too long to the east or to the north, and otherwise the same."""
+    if len(shape.local) < FEWEST or shape.bent < WIDE:
+        return None
+    now = misfit(metres(shape.degrees), shape.local)
+    if now < STRETCHED * shape.extent + NOISE * shape.sigma:
+        return None
     enu = metres(shape.degrees)
     fixes, places = enu - enu.mean(axis=0), shape.local - shape.local.mean(axis=0)
     affine = np.linalg.lstsq(places, fixes, rcond=None)[0]

@@ -25,6 +25,9 @@ FURTHEST = 400.0
 """Metres of way after which none are kept."""
 MOST_PLACES = 5000
 """Places by odometry that are kept: eight minutes of 10 Hz."""
+BLIND = 0.3
+"""Seconds without odometry within a stretch of the track, at most: it is 0.1 m off then, where
+the car brakes hard."""
 GROWTH = 1.5
 """It is looked at again when there are so many times as many."""
 ALIKE = 0.2
@@ -94,7 +97,7 @@ class ShapeWatch:
         sigma = float(np.median([item.sigma for item in self._entries]))
         found = self._unit(degrees, sigma)
         if found is None and not (self._settings.exchanged or self._settings.mirrored):
-            found = shape_finding(sensor, Shape(degrees, local, sigma))
+            found = shape_finding(sensor, Shape(degrees, local, sigma, self._stretches()))
         if found is None:
             stamps = np.array([item.fix.stamp for item in self._entries], dtype=np.int64)
             moments = np.array(self._moments, dtype=np.int64)
@@ -102,6 +105,18 @@ class ShapeWatch:
             tracks = TimedTracks(stamps, degrees, sigma, moments, places)
             found = clock_finding(sensor, tracks, self._time_offset)
         return found
+
+    def _stretches(self) -> NDArray[np.int64]:
+        """Numbers of the stretches without a hole in odometry; a fix within one is alone."""
+        numbers, begun = [0], self._entries[0].place
+        for entry in self._entries[1:]:
+            place = entry.place
+            if place.blind - begun.blind + max(place.ahead, begun.ahead) > BLIND:
+                numbers.append(numbers[-1] + 1)
+                begun = place
+            else:
+                numbers.append(numbers[-1])
+        return np.array(numbers, dtype=np.int64)
 
     def _unit(self, degrees: NDArray[np.float64], sigma: float) -> Finding | None:
         """Whether odometry's way is that of the fixes in another unit."""

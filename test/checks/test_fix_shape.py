@@ -88,3 +88,29 @@ def test_a_gyroscope_that_is_loud_in_the_wrong_unit_is_not_loud():
     loud, unit = (Finding(rule, Severity.MENDED, 'imu', '') for rule in ('imu_noise', 'imu_in_deg'))
     assert without_consequences([loud], [unit]) == []
     assert without_consequences([loud], [loud]) == [loud]
+
+
+def with_holes(shape, each):
+    """The track as odometry has it that loses a tenth of the way north with every few fixes."""
+    begins = np.arange(len(shape.local)) // each * each
+    north = shape.degrees[begins, 0] - shape.degrees[0, 0]
+    back = np.array([[0.6, -0.8], [0.8, 0.6]])  # as odometry's axes lie in bend()
+    lost = 0.1 / METRE * np.stack([np.zeros(len(north)), north], axis=1) @ back
+    return replace(shape, local=shape.local - lost, stretches=begins // each)
+
+
+def test_holes_in_odometry_stretch_no_track_of_fixes():
+    shape = with_holes(bend(count=200), 12)
+    found = shape_finding('gnss', replace(shape, stretches=None))
+    assert found is not None and found.rule == 'track_stretched'  # as if it were one stretch
+    assert shape_finding('gnss', shape) is None
+
+
+def test_a_stretch_without_a_hole_tells_a_stretched_track():
+    shape = bend()
+    stretched = shape.degrees[0] + [1.0, 0.8] * (shape.degrees - shape.degrees[0])
+    stretches = np.repeat([0, 1], [4, 26])
+    found = shape_finding('gnss', replace(shape, degrees=stretched, stretches=stretches))
+    assert found is not None and found.rule == 'track_stretched'
+    short = np.repeat([0, 1, 2, 3], [8, 8, 8, 6])
+    assert shape_finding('gnss', replace(shape, degrees=stretched, stretches=short)) is None
