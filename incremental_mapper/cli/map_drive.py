@@ -115,10 +115,12 @@ def _map(args: argparse.Namespace, tree: 'Tree', where: str, started: float) -> 
     from incremental_mapper.cli.findings_text import print_findings
     from incremental_mapper.cli.progress import Progress
     from incremental_mapper.evaluation.report.report_process import ReportProcess
+    from incremental_mapper.results.candidate_table import FILE_NAME
     from incremental_mapper.results.offline_run import Stop, map_into
     from incremental_mapper.results.opened_drive import open_drive
-    from incremental_mapper.results.run_folder import prepared_folder
+    from incremental_mapper.results.run_folder import is_whole, prepared_folder
     from incremental_mapper.results.summary import brief, summary
+    from incremental_mapper.visualization.extras import importable, missing_files
 
     if args.view or args.rrd is not None:
         from incremental_mapper.visualization.rerun_scene import check_rrd, load_rerun
@@ -136,21 +138,31 @@ def _map(args: argparse.Namespace, tree: 'Tree', where: str, started: float) -> 
         set_aside()
         stack.enter_context(stop.listening())
         progress = stack.enter_context(Progress(drive.source.info.count))
-        report = stack.enter_context(ReportProcess())
+        report = stack.enter_context(ReportProcess(folder, drive.truth))
 
         def stage(name: str) -> None:
             progress.stage(name)
             if name == 'final solve':
                 report.prepare()
-            elif name == 'pictures':  # all that the page is made of is written
-                report.begin(folder, drive.truth)
 
-        done, remarks = map_into(folder, drive, progress.read, stop, stage, watch)
-        progress.stage('report')
-        report.end()
+        def drawn() -> bool:
+            report.written()
+            progress.stage('pictures')
+            return report.end()
+
+        watch.append(report.watch)
+        try:
+            done = map_into(folder, drive, progress.read, stop, stage, watch, pictures=False)
+        except OutputError:
+            if is_whole(folder):  # it is of something beside the map
+                drawn()
+            raise
+        lost = [] if importable(FILE_NAME) else [FILE_NAME]
+        lost += [] if drawn() else ['pictures']
     found = [note for note in done.statistics.input.notes if note not in drive.all_notes()]
-    for remark in (*found, *remarks):
-        print(f'note: {remark}', file=sys.stderr)
+    remark = missing_files(lost)
+    for note in (*found, *([remark] if remark else [])):
+        print(f'note: {note}', file=sys.stderr)
     numbers = done.statistics.to_tree()
     if args.verbose:
         print(summary(numbers))

@@ -139,7 +139,7 @@ def _run(job: Job) -> Outcome:
             cache.clear(job.folder)
             (job.folder / FAILURE_FILE).unlink(missing_ok=True)
             drive = open_drive(job.input, job.tree, job.where, job.truth)
-            run, _ = map_into(job.folder, drive, stop=stop_of_this_process())
+            run = map_into(job.folder, drive, stop=stop_of_this_process())
             if run.statistics.interrupted:
                 return Outcome(job, Status.INTERRUPTED)
             _write_truth(job.folder.parent / cache.TRUTH_FILE, job.strategy, drive.truth)

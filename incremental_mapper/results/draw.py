@@ -15,7 +15,8 @@ from pathlib import Path
 from incremental_mapper.errors import MapperError, OutputError
 from incremental_mapper.results.finished_run import FinishedRun
 from incremental_mapper.visualization.extras import left_out
-from incremental_mapper.visualization.run_pictures import draw_run
+from incremental_mapper.visualization.pictures import drawn_points
+from incremental_mapper.visualization.run_pictures import Shown, draw_run
 
 MODULE = 'incremental_mapper.results.draw'
 
@@ -37,12 +38,21 @@ def draw_folder(folder: Path) -> str | None:
     if missing is not None:
         return missing
     run = FinishedRun(folder)
-    points = run.points.astype('f4')
+    points = run.points
+    shown = Shown(
+        run.trajectory,
+        None,
+        run.fixes,
+        drawn_points(points),
+        len(points),
+        run.graph,
+        run.georeferenced,
+    )
     try:
         # Beside their names first; the folder is hidden, and on the same disk.
         scratch = Path(tempfile.mkdtemp(prefix='.pictures.', dir=folder))
         try:
-            draw_run(scratch, run.trajectory, None, run.fixes, points, run.graph, run.georeferenced)
+            draw_run(scratch, shown)
             for picture in sorted(scratch.iterdir()):
                 picture.replace(folder / picture.name)
         finally:

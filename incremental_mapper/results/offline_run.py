@@ -28,9 +28,9 @@ from incremental_mapper.results.journal.journal_writer import Journal
 from incremental_mapper.results.mending import MendError, mending
 from incremental_mapper.results.opened_drive import Drive, open_drive
 from incremental_mapper.results.run_folder import (
-    draw_result,
     is_whole,
     prepared_folder,
+    shown_of,
     write_result,
 )
 from incremental_mapper.results.run_statistics import InputFacts, RunStatistics
@@ -39,7 +39,7 @@ from incremental_mapper.results.trajectory_errors import trajectory_errors
 from incremental_mapper.results.watching import RunWatcher, Watch
 from incremental_mapper.settings import merge, read_yaml
 from incremental_mapper.trajectory import Trajectory
-from incremental_mapper.visualization.extras import left_out
+from incremental_mapper.visualization.run_pictures import draw_run
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,8 +97,9 @@ def map_into(
     stop: Stop | None = None,
     stage: Callable[[str], object] = _nobody,
     watch: Sequence[Watch] = (),
-) -> tuple[Run, list[str]]:
-    """Map a drive and write all its files, pictures included.
+    pictures: bool = True,
+) -> Run:
+    """Map a drive and write all its files.
 
     Args:
         folder: An existing folder to write into.
@@ -107,9 +108,10 @@ def map_into(
         stop: See ``map_source``.
         stage: Called with what comes next, once the input has been read.
         watch: Begin to watch a run; what goes wrong with them is raised once all is written.
+        pictures: Draw them when the files are written, where nobody else does.
 
     Returns:
-        The run, and remarks on files that could not be made, one line each.
+        The run.
 
     Raises:
         ConfigError: A format of ``map.formats`` cannot be written here.
@@ -148,12 +150,12 @@ def map_into(
         raise OutputError(f'{error}{kept}') from error
     for journal in journals:
         journal.remove()
-    stage('pictures')
-    draw_result(folder, run.result, run.points, drive.truth)
+    if pictures:
+        stage('pictures')
+        draw_run(folder, shown_of(run.result, run.map, drive.truth))
     if troubles:
         raise OutputError(f'{"; ".join(troubles)}; all else is in {folder}')
-    missing = left_out((FILE_NAME, 'pictures'))
-    return run, [] if missing is None else [missing]
+    return run
 
 
 def map_drive(
@@ -195,7 +197,7 @@ def map_drive(
     if out is None:
         return mending(drive, lambda drive, may_mend: _map_once(drive, may_mend=may_mend))
     with prepared_folder(Path(out), force):
-        return map_into(Path(out), drive)[0]
+        return map_into(Path(out), drive)
 
 
 def map_source(

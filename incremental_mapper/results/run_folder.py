@@ -53,7 +53,8 @@ from incremental_mapper.results.sessions.session_file import FILE as SESSION
 from incremental_mapper.results.sessions.session_file import write_session
 from incremental_mapper.trajectory import Trajectory, write_tum
 from incremental_mapper.variables import cluster_of, pose_key
-from incremental_mapper.visualization.run_pictures import draw_run
+from incremental_mapper.visualization.pictures import drawn_points
+from incremental_mapper.visualization.run_pictures import Shown
 
 LOGGER = logging.getLogger('incremental_mapper')
 
@@ -167,19 +168,20 @@ def is_whole(folder: Path) -> bool:
     return (folder / MANIFEST).is_file()
 
 
-def draw_result(
-    folder: Path, result: MapResult, points: NDArray[np.float32], truth: Trajectory | None
-) -> None:
-    """Write the pictures of a run, where they can be drawn.
+def shown_of(result: MapResult, cloud: MapCloud, truth: Trajectory | None) -> Shown:
+    """What the pictures of a run show.
 
-    Arguments are as in ``write_result``; ``points`` are (N, 3), ``truth`` the true trajectory.
-
-    Raises:
-        OutputError: A file cannot be written.
+    Arguments are as in ``write_result``; ``truth`` is the true trajectory, where there is one.
     """
-    graph = graph_tree(result.clusters, result.factors, result.values)
-    place = result.statistics.georeferenced
-    draw_run(folder, result.trajectory, truth, result.fixes, points, graph, place)
+    return Shown(
+        result.trajectory,
+        truth,
+        result.fixes,
+        drawn_points(cloud.points[:, :3]),
+        len(cloud),
+        graph_tree(result.clusters, result.factors, result.values),
+        result.statistics.georeferenced,
+    )
 
 
 def _write_session(folder: Path, result: MapResult) -> None:

@@ -1,6 +1,6 @@
 """Libraries that come with the extra ``report``: without them their files are left out."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from importlib import import_module
 from importlib.util import find_spec
 
@@ -48,9 +48,13 @@ def left_out(files: Iterable[str]) -> str | None:
     Returns:
         None where all can be written.
     """
-    missing = [name for name in files if not importable(name)]
-    if not missing:
+    return missing_files([name for name in files if not importable(name)])
+
+
+def missing_files(names: Sequence[str]) -> str | None:
+    """As ``left_out``, of files that are known to be missing."""
+    if not names:
         return None
-    libraries = ', '.join(dict.fromkeys(LIBRARIES[name] for name in missing))
-    verb = 'is' if len(missing) == 1 else 'are'
-    return f'no {" and no ".join(missing)}: {libraries} {verb} missing; {INSTALL}'
+    libraries = ', '.join(dict.fromkeys(LIBRARIES[name] for name in names))
+    verb = 'is' if len(names) == 1 else 'are'
+    return f'no {" and no ".join(names)}: {libraries} {verb} missing; {INSTALL}'

@@ -85,6 +85,7 @@ def draw_map(
     estimate: Trajectory,
     look: Look = WHOLE,
     georeferenced: bool = False,
+    count: int | None = None,
 ) -> None:
     """Draw the map from above, coloured by height over the way, with the trajectory over it.
 
@@ -94,11 +95,12 @@ def draw_map(
         estimate: T_map_base.
         look: Colours and width; the height follows what is shown.
         georeferenced: Whether x is east and y north.
+        count: How many points the map has; None where these are all.
 
     Raises:
         OutputError: matplotlib is missing, or the file cannot be written.
     """
-    save(map_figure(points, estimate, look, georeferenced), path)
+    save(map_figure(points, estimate, look, georeferenced, count), path)
 
 
 def draw_map_side(
@@ -151,10 +153,15 @@ def trajectory_figure(
 
 
 def map_figure(
-    points: NDArray[np.floating], estimate: Trajectory, look: Look, georeferenced: bool = False
+    points: NDArray[np.floating],
+    estimate: Trajectory,
+    look: Look,
+    georeferenced: bool = False,
+    count: int | None = None,
 ) -> 'Figure':
     """The figure that ``draw_map`` saves."""
-    drawn = _thinned(points, look)
+    count = len(points) if count is None else count
+    drawn = drawn_points(points, look).astype(np.float64)
     shown = np.concatenate([_inner_part(drawn[:, :2], 0.5), estimate.positions[:, :2]])
     look = _fitted(look, shown, SMALLEST, BAR)
     figure = new_figure(look)
@@ -163,7 +170,7 @@ def map_figure(
     draw_points(axes, drawn[:, :2], _above_way(drawn, estimate), look)
     _draw_path(axes, estimate.positions, look, look.theme.vermillion, 'trajectory', halo=5.0)
     _add_scale(axes, look)
-    title(figure, 'Map from above', f'{len(points):,} points'.replace(',', ' '), look)
+    title(figure, 'Map from above', f'{count:,} points'.replace(',', ' '), look)
     _label(axes, look, *_plane(georeferenced))
     if len(estimate) > 0:
         add_legend(axes, look)
@@ -176,7 +183,7 @@ def side_figure(
     """The figure that ``draw_map_side`` saves."""
     figure = new_figure(look)
     axes = figure.add_axes(_place(look, bar=True))
-    drawn = _thinned(points, look)
+    drawn = drawn_points(points, look).astype(np.float64)
     along = _main_direction(estimate.positions if len(estimate) > 1 else drawn)
     flat = np.stack([drawn[:, :2] @ along, drawn[:, 2]], axis=1)
     path = np.stack([estimate.positions[:, :2] @ along, estimate.positions[:, 2]], axis=1)
@@ -193,6 +200,12 @@ def side_figure(
     height = 'height in the map, m' if georeferenced else 'z, m'
     _label(axes, look, f'projected onto a line at {towards}, m', f'{height}{times}')
     return figure
+
+
+def drawn_points(points: NDArray[np.floating], look: Look = WHOLE) -> NDArray[np.floating]:
+    """As many points as a picture shows: every k-th of (N, C), in their order."""
+    most = DRAWN_POINTS_A_PIXEL * look.width * look.height
+    return points[:: max(1, -(-len(points) // most))]
 
 
 def _plane(georeferenced: bool) -> tuple[str, str]:
@@ -260,11 +273,6 @@ def _aligned_truth(estimate: Trajectory, truth: Trajectory) -> NDArray[np.float6
         [reference.positions[:1], truth.positions[span], reference.positions[-1:]]
     )
     return transform_points(fit_rigid(reference.positions, covered.positions), positions)
-
-
-def _thinned(points: NDArray[np.floating], look: Look) -> NDArray[np.float64]:
-    most = DRAWN_POINTS_A_PIXEL * look.width * look.height
-    return np.asarray(points[:: max(1, -(-len(points) // most))], dtype=np.float64)
 
 
 def _inner_part(flat: NDArray[np.float64], outside: float) -> NDArray[np.float64]:
