@@ -5,9 +5,11 @@
 
 Every window's newest pose is held against the truth; with ``--outage`` the drive's fixes between
 two times, in seconds from its start, are left out. The map's place among the truth is that of the
-poses before the outage, or of all of them. Printed is the mean of the squared error over its
-variance by axis of base_link, which is 1 where the covariance is right, over all windows and, in an
-outage, over those in it; and the largest errors beside their deviations.
+poses before the outage, or of all of them, each of which counts by its own variance: one that was
+0.3 m off in a gap of the fixes, and said so, moves none that were known to 0.02 m. Printed is the
+mean of the squared error over its variance by axis of base_link, which is 1 where the covariance is
+right, over all windows and, in an outage, over those in it; and the largest errors beside their
+deviations.
 """
 
 import argparse
@@ -21,7 +23,6 @@ from numpy.typing import NDArray
 from odometry import changed
 
 from incremental_mapper.datasets.open import open_source
-from incremental_mapper.frontend.gnss import align_track
 from incremental_mapper.mapping.mapper import Mapper
 from incremental_mapper.mapping.newest_state import NewestState
 from incremental_mapper.measurements import NANOSECONDS, GnssFix, Measurement
@@ -84,8 +85,9 @@ def normalised(
     matched = match_truth(from_matrices(stamps, poses), truth)
     estimate, real = matched
     first = estimate.stamps <= until
-    T_truth_map = fit(estimate, real, first)
     by_stamp = {state.stamp: state for state in states}
+    variances = np.array([variance(by_stamp[int(stamp)]) for stamp in estimate.stamps])
+    T_truth_map = fit(estimate.positions[first], real.positions[first], 1.0 / variances[first])
     errors, deviations, squares = [], [], []
     for stamp, pose, goal in zip(
         estimate.stamps, estimate.matrices(), real.matrices(), strict=True
@@ -105,10 +107,23 @@ def normalised(
     return np.array(errors), np.array(deviations), np.array(squares), estimate.stamps
 
 
-def fit(estimate: Trajectory, real: Trajectory, counted: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """T_truth_map (4, 4) by the positions of some poses; both have their z axis upwards."""
-    yaw, shift = align_track(real.positions[counted], estimate.positions[counted])
-    return gtsam.Pose3(gtsam.Rot3.Yaw(yaw), shift).matrix()
+def variance(state: NewestState) -> float:
+    """Of the position, by axis on the average, m^2."""
+    assert state.covariance is not None
+    return float(np.trace(state.covariance[3:, 3:])) / 3.0
+
+
+def fit(
+    estimate: NDArray[np.float64], real: NDArray[np.float64], weights: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """T_truth_map (4, 4) by positions (N, 3) of weights (N,); both have their z axis upwards."""
+    estimate_mean, real_mean = (
+        np.average(each, axis=0, weights=weights) for each in (estimate, real)
+    )
+    # Level positions as complex numbers: a turn is a factor.
+    a, b = (each[:, 0] + 1j * each[:, 1] for each in (estimate - estimate_mean, real - real_mean))
+    turn = gtsam.Rot3.Yaw(float(np.angle(np.sum(weights * np.conj(a) * b))))
+    return gtsam.Pose3(turn, real_mean - turn.rotate(estimate_mean)).matrix()
 
 
 def main() -> None:

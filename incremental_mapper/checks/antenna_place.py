@@ -43,6 +43,8 @@ class TurningTrack:
         local: Position of the antenna by odometry (K, 2), in a frame of its own, metres.
         headings: Of the car there (K,), radians.
         sigmas: Horizontal deviations of the fixes (K,), metres.
+        slipped: How far odometry may have slipped until then (K,), metres: it only grows, where
+            scans hold a match weakly.
     """
 
     stamps: NDArray[np.int64]
@@ -50,6 +52,7 @@ class TurningTrack:
     local: NDArray[np.float64]
     headings: NDArray[np.float64]
     sigmas: NDArray[np.float64]
+    slipped: NDArray[np.float64]
 
 
 def antenna_finding(
@@ -106,7 +109,9 @@ def arm_error(
 
     From fix to fix, so that the drift of odometry counts for a step alone; its size and direction
     against the fixes, and a lag of their clock, are found beside. Fixes count by their deviations:
-    ten of 2 m among those of 2 cm once put an antenna 0.6 m aside.
+    ten of 2 m among those of 2 cm once put an antenna 0.6 m aside. Steps in which odometry may have
+    slipped do not count at all: along bare ground it slips to the same side of the car for seconds,
+    and that turns with the car as an antenna does.
 
     Args:
         track: Fixes and odometry.
@@ -115,11 +120,12 @@ def arm_error(
         Metres ahead and left (2,), and their standard deviations; None where these are too few.
     """
     seconds = (track.stamps - track.stamps[:1]) / NANOSECONDS
-    if len(seconds) < FEWEST or not (np.diff(seconds) > 0.0).all():
+    sound = np.diff(track.slipped) <= ODOMETRY
+    if sound.sum() + 1 < FEWEST or not (np.diff(seconds) > 0.0).all():
         return None
     # Places and directions as complex numbers: a turn is a factor.
     place = track.local[:, 0] + 1j * track.local[:, 1]
-    weights = 1.0 / np.sqrt(ODOMETRY**2 + track.sigmas[1:] ** 2 + track.sigmas[:-1] ** 2)
+    weights = sound / np.sqrt(ODOMETRY**2 + track.sigmas[1:] ** 2 + track.sigmas[:-1] ** 2)
     steps = weights * np.diff(track.enu[:, 0] + 1j * track.enu[:, 1])
     moved = weights * np.diff(place)
     ahead = np.exp(1j * track.headings)
@@ -129,11 +135,11 @@ def arm_error(
     yaw = np.linalg.lstsq(every, steps, rcond=None)[0][0]
     steps = steps * np.conj(yaw) / max(abs(yaw), 1e-9)
     table = np.stack([moved, 1j * moved, turned, 1j * turned, lagged], axis=1)
-    keep = np.ones(len(steps), dtype=bool)
+    keep = sound
     for _ in range(2):
         solution = np.linalg.lstsq(_real(table[keep]), _real(steps[keep]), rcond=None)[0]
         off = np.abs(steps - table @ solution)
-        keep = off <= OUTLIER * np.median(off)
+        keep = sound & (off <= OUTLIER * np.median(off[sound]))
     rows, left = _real(table[keep]), _real(steps[keep])
     solution, _, rank, _ = np.linalg.lstsq(rows, left, rcond=None)
     if rank < table.shape[1] or len(rows) <= rank:

@@ -53,5 +53,6 @@ class AntennaWatch:
             local=np.array([item.place.position[:2] for item in kept]),
             headings=np.array([item.place.heading for item in kept]),
             sigmas=np.array([item.sigma for item in kept]),
+            slipped=np.array([item.place.looser for item in kept]),
         )
         return antenna_finding(sensor, track, self._arm, early=self._taken <= MOST)

@@ -9,8 +9,9 @@ covariance alone is too small: its scale and floor are held against drives with 
 
 How well a direction is held is what a pair holds of it on the average, beside a pair that held it
 from all sides with 1/m^2: a turn and a shift are compared by how far they move the points, and no
-count of the points comes in. This *hold* is 5 to 500 in streets. Along a bare field it is 0.1 to 3,
-and noise in the planes' normals makes all of it: matches are 0.1 m off however large it is.
+count of the points comes in. This *hold* is 5 to 500 in streets. Along a bare field it is 0.1 to 6,
+and noise in the planes' normals makes all of it: matches are 0.11 to 0.14 m off however large it
+is, 0.02 to 0.03 m in every one of them to the same side, towards standing still.
 """
 
 import gtsam
@@ -28,9 +29,13 @@ IN_PLANE = 0.5
 """1/m^2; what M says of a pair even along its planes, each of which is given a variance of 1 m^2
 there. It says nothing of the scene: without it a bare field holds no match along the ground."""
 FALSE_HOLD = 10.0
-"""1/m^2; how much of a hold normals that are off may make. Errors over a second are likeliest with
-3, over four seconds with 14. With 3 the published heading in a field was four times as far off as
-its deviation: errors of many matches in a row have one sign there, towards standing still."""
+"""1/m^2; how much of a hold normals that are off may make, where there is a true one beside. Errors
+over a second are likeliest with 3, over four seconds with 14. KITTI's matches need it, too."""
+NO_HOLD, SLIP = 3.0, 0.15
+"""1/m^2, a hold that normals which are off may make by themselves, and the metres of the points by
+which such a match slips. The covariance must not follow a hold that is noise: matches that happen
+to have more of it would be believed, and are no better. With 0.1 m some headings in fields still
+drift and are too sure; with 0.25 m and more they are as good, and less sure than they could be."""
 SKEW = 0.02
 """Radians by which directions themselves are off, as the normals are that tell them: by so much of
 it an error along the ground lifts and tilts a match. 0.01 is likeliest from one scan to the next,
@@ -75,6 +80,7 @@ def match_covariance(
     residual = 2.0 * float(result.error) / result.num_inliers
     # What is left of a hold without its false part, to the first order: that is never negative.
     variances = settings.covariance_scale * residual / holds * (1.0 + FALSE_HOLD / holds)
+    variances += result.num_inliers * SLIP**2 / (1.0 + (holds / NO_HOLD) ** 6)
     variances = np.minimum(variances, result.num_inliers * LOOSEST**2)
     variances += SKEW**2 * variances.max()
     axes = unit.T @ directions

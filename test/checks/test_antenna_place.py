@@ -1,5 +1,7 @@
 """An antenna that is not where the settings put it, by how fixes swing in turns."""
 
+from dataclasses import fields, replace
+
 import numpy as np
 import pytest
 
@@ -40,6 +42,7 @@ def track(error=(0.0, 0.0), late=0.0, turns=0.8, speed=4.0, noise=0.03, drift=0.
         np.stack([local.real, local.imag], axis=1),
         np.interp(at, grid, yaw) + 3.0,
         np.full(len(at), noise),
+        np.zeros(len(at)),
     )
 
 
@@ -48,7 +51,7 @@ def turned(one, angle):
     cosine, sine = np.cos(angle), np.sin(angle)
     turn = np.array([[cosine, -sine], [sine, cosine]])
     headings = one.headings - 3.0 + angle
-    return TurningTrack(one.stamps, one.enu, one.local @ turn.T, headings, one.sigmas)
+    return replace(one, local=one.local @ turn.T, headings=headings)
 
 
 @pytest.mark.parametrize('error', [(4.0, 0.0), (0.0, 2.0), (-2.0, -1.5), (1.2, 0.9)])
@@ -126,7 +129,7 @@ def town(seed):
     enu = local + sigmas * (rng.normal(size=(len(at), 2)) @ [1.0, 1j])
     local = local + np.cumsum(rng.normal(scale=0.015, size=(len(at), 2)) @ [1.0, 1j])
     both = (np.stack([place.real, place.imag], axis=1) for place in (enu, local))
-    return TurningTrack(at * (NANOSECONDS // 100), *both, yaw[at], sigmas)
+    return TurningTrack(at * (NANOSECONDS // 100), *both, yaw[at], sigmas, np.zeros(len(at)))
 
 
 @pytest.mark.parametrize('seed', [3, 10, 13, 19])
@@ -141,14 +144,39 @@ def test_what_is_found_early_is_in_force():
 
 def test_what_fixes_cannot_tell_anyway_is_no_matter():
     one = turned(track((0.0, 1.5)), 0.4)
-    rough = TurningTrack(
-        one.stamps, one.enu, one.local, one.headings, np.full(len(one.stamps), 2.0)
-    )
+    rough = replace(one, sigmas=np.full(len(one.stamps), 2.0))
     assert antenna_finding('gnss', one, ARM, early=False) is not None
     assert antenna_finding('gnss', rough, ARM, early=False) is None
 
 
 def test_few_fixes_tell_nothing():
     one = track((4.0, 2.0))
-    few = TurningTrack(one.stamps[:9], one.enu[:9], one.local[:9], one.headings[:9], one.sigmas[:9])
+    few = TurningTrack(*(getattr(one, field.name)[:9] for field in fields(one)))
     assert antenna_finding('gnss', few, ARM, early=False) is None
+
+
+@pytest.mark.parametrize('error', [0.0, 2.0])
+def test_where_the_scans_hold_odometry_weakly_it_says_nothing(error):
+    """To the left of the car it slips, which looks like an antenna on the other side."""
+    one = track((0.0, error))
+    weak = slice(10, 30)
+    aside = 3.0 * np.stack([-np.sin(one.headings - 3.0), np.cos(one.headings - 3.0)], axis=1)
+    steps = np.diff(one.local, axis=0)
+    steps[weak] += np.diff(aside, axis=0)[weak]
+    local = np.vstack([one.local[:1], one.local[0] + np.cumsum(steps, axis=0)])
+    slipping = turned(replace(one, local=local), 0.4)
+    grown = np.zeros(len(steps))
+    grown[weak] = 0.5
+    known = replace(slipping, slipped=np.append(0.0, np.cumsum(grown)))
+    deceived = antenna_finding('gnss', slipping, ARM, early=False)
+    sound = antenna_finding('gnss', known, ARM, early=False)
+    assert deceived is not None
+    assert deceived.settings['gnss']['T_base_sensor'][1] != pytest.approx(error, abs=0.5)
+    if error:
+        assert sound is not None
+        place = sound.settings['gnss']['T_base_sensor']
+        assert place[:2] == pytest.approx([ARM[0], error], abs=0.3)
+    else:
+        assert sound is None
+    everywhere = replace(slipping, slipped=np.arange(len(one.stamps), dtype=np.float64))
+    assert antenna_finding('gnss', everywhere, ARM, early=False) is None

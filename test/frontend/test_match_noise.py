@@ -72,6 +72,19 @@ def test_noise_of_the_ground_is_no_hold():
     assert (found[[3, 4]] > 0.3).all()
 
 
+def test_a_hold_that_may_all_be_noise_is_believed_no_more_for_being_larger():
+    def rough(rng):
+        points = ground(rng)
+        points[:, 2] = rng.normal(scale=0.25, size=len(points)) - 2.0
+        return points
+
+    surest = {'covariance_scale': 1e-3, 'floor_rotation': 1e-9, 'floor_translation': 1e-9}
+    rugged = sigmas(match(rough, STEP, **surest).covariance)
+    held = sigmas(match(lambda rng: room(seed=int(rng.integers(99))), STEP, **surest).covariance)
+    assert (rugged[[3, 4]] > 0.14).all()
+    assert (held[3:] < 0.003).all()
+
+
 def test_an_error_along_the_ground_lifts_and_tilts_a_match_by_a_part_of_it():
     held, bare = (
         sigmas(match(scene, STEP, covariance_scale=2.5).covariance)
@@ -93,15 +106,17 @@ def test_points_on_one_line_tell_nothing_of_turns_about_it():
 
 def test_scale_and_floor_are_those_of_the_settings():
     plain, floor = {'floor_rotation': 1e-9, 'floor_translation': 1e-9}, np.array([0.002, 0.02])
-    once, twice, higher = (
+    once, twice, thrice, higher = (
         match(lambda rng: room(seed=int(rng.integers(99))), STEP, **settings).covariance
         for settings in (
             {'covariance_scale': 4.0, **plain},
             {'covariance_scale': 8.0, **plain},
+            {'covariance_scale': 12.0, **plain},
             {'covariance_scale': 4.0, 'floor_rotation': floor[0], 'floor_translation': floor[1]},
         )
     )
-    assert twice == pytest.approx(2.0 * once, rel=1e-6)
+    assert thrice - twice == pytest.approx(twice - once, rel=1e-6)
+    assert np.diag(twice) == pytest.approx(2.0 * np.diag(once), rel=0.05)
     assert higher - once == pytest.approx(np.diag(np.repeat(floor, 3) ** 2), rel=1e-6)
 
 
