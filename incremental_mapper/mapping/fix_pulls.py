@@ -24,7 +24,9 @@ SLACK = 0.3
 """Metres by which a fix may be off in any case: fixes of RTK wander by as much between houses."""
 NOISES, FEW_NOISES = 3.0, 1.5
 """Standard deviations of the fix, and of where it should be, by which it may be off beside, and
-from which on it is believed less."""
+from which on it is believed less: but never below ``NOISES`` of them alone. Where a receiver errs
+by metres, a third of its fixes are 1.5 deviations off, and a map that begins with a wrong yaw would
+believe itself instead of them."""
 SPEED, BLIND_SPEED = 0.3, 2.0
 """m/s by which the way from the newest pose to the fix may be off, and without IMU and match."""
 FEWEST = 3
@@ -33,6 +35,9 @@ by chance, where a receiver errs by metres."""
 AGREEING, LASTING = 8, 10.0
 """Fixes that are off alike, and seconds over which they are, until they are believed: then the map
 has slipped, or the receiver has another datum."""
+CONFIRMED = 5
+"""Fixes that agree one after the other before any is doubted: a map that has just been turned into
+ENU by two or three of them may be turned wrongly, and would leave all that follow."""
 WIDER = 3.0
 """So many times as far as it is off, a fix is said to be uncertain: those of a pull all err to one
 side."""
@@ -59,6 +64,7 @@ class FixPulls:
         self._newest = 0
         self._row: list[_Off] = []  # fixes one after the other that are off
         self._slipped = False
+        self._agreed = 0  # one after the other, until there are enough
         # Metres by LiDAR that weak matches may have leant since a fix was believed.
         self._leaning: dict[str, float] = {}
 
@@ -77,6 +83,7 @@ class FixPulls:
         """
         newest = state.frontier.newest
         if not state.georeferenced or newest is None:
+            self._agreed = 0
             return None
         known: NDArray[np.float64] | None = None
         made = list(items)
@@ -149,10 +156,14 @@ class FixPulls:
         return added
 
     def _added(self, one: _Off, off: float, noise: float, sigma: float) -> float:
+        if self._agreed < CONFIRMED:
+            self._agreed = self._agreed + 1 if off <= SLACK + NOISES * noise else 0
+            return 0.0
         if off <= SLACK + NOISES * noise:
             self._slipped = False
             # Where a pull ends, what is left of it is within what is known by then.
-            doubted = off > SLACK + FEW_NOISES * (sigma if self._row else noise)
+            about = sigma if self._row else noise
+            doubted = off > max(SLACK + FEW_NOISES * about, NOISES * about)
             if not doubted:
                 self._row.clear()
             return off if doubted else 0.0
