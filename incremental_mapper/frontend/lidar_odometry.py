@@ -6,7 +6,7 @@ with bad matches; it knows nothing of other sensors.
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
@@ -39,6 +39,13 @@ SURE_TURN, SURE_RATE = 0.1, 0.5
 """Radians, and rad/s between the scans, that its rotation may."""
 BETTER = 0.05
 """Share of the points more that must find a partner by steady motion, where the IMU is doubted."""
+ASTRAY = 2.0
+"""m/s, beside braking and three deviations of both, by which the first two motions of a chain may
+differ. The first began to match from standing still, however fast the car was, and where it ended
+astray the second match ends sure and wrong between the two scans."""
+APART, ANY_SPEED = 0.25, 5.0
+"""Seconds between a chain's first two scans from which on their match may end anywhere, and m/s by
+which it may be off then: cars of 5 m/s were found to stand, for 0.2 m of certain."""
 MAX_REJECTED = 3
 """After so many bad matches in a row it is the scan they were held against that was bad."""
 RESTARTS = 4
@@ -105,10 +112,12 @@ class LidarChain:
     def _begin(self) -> None:
         self._matcher = make_matcher(self._settings)
         self._twist = STANDING
+        self._spread = 0.0  # its deviation, m/s
         self._moment = 0.0  # middle of the last sweep, seconds after its stamp
         self._stamp: int | None = None
         self._first: Sweep | None = None  # until the motion is known
         self._matched = False
+        self._proven = False  # by a second match
         self._rejected = 0
         self._momentum: Momentum | None = None  # at the middle of the last sweep
         self._to_middle: gtsam.Pose3 | None = None  # from the last stamp
@@ -168,13 +177,25 @@ class LidarChain:
                 break
         if motion is None:
             return self._reject(sweep, gap)
+        if gap > APART and motion.covariance is not None:
+            unsure = np.diag([0.0] * 3 + [(ANY_SPEED * gap) ** 2] * 3)
+            motion = replace(motion, covariance=motion.covariance + unsure)
         return self._continue(sweep, motion)
 
     def _next_match(self, sweep: Sweep, gap: float) -> ChainLink:
         courses = [self._course(sweep, gap)]
         if courses[0].inertial is not None:
             courses.append(self._steady(gap + sweep.middle - self._moment))
+        before, spread = self._twist, self._spread
         motion = self._accept(sweep, gap, courses)
+        if motion is not None and not self._proven:
+            changed = float(np.linalg.norm(self._twist.linear - before.linear))
+            noise = float(np.hypot(spread, self._spread))
+            if changed > ASTRAY + BRAKING * gap + 3.0 * noise:
+                self._note('first motions disagree')
+                self._begin()
+                return self._start(sweep, self._alone(sweep))
+            self._proven = True
         return self._reject(sweep, gap) if motion is None else self._continue(sweep, motion)
 
     def _match_over_gap(self, sweep: Sweep, gap: float) -> ChainLink:
@@ -285,6 +306,8 @@ class LidarChain:
         if start is None:
             start = twist.over(self._moment)
         self._twist = twist
+        if match.covariance is not None:
+            self._spread = float(np.sqrt(np.linalg.eigvalsh(match.covariance[3:, 3:])[-1])) / passed
         end = around.between(moment, 0.0)
         return Motion(
             start.compose(found).compose(end),
@@ -349,6 +372,7 @@ class LidarChain:
         self._begin()
         if rejected < MAX_REJECTED:
             self._twist, self._matched, self._rejected = twist, matched, rejected
+            self._proven = matched
             self._momentum = momentum
         return self._start(sweep, course.around)
 

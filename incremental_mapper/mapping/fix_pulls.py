@@ -35,7 +35,7 @@ by chance, where a receiver errs by metres."""
 AGREEING, LASTING = 8, 10.0
 """Fixes that are off alike, and seconds over which they are, until they are believed: then the map
 has slipped, or the receiver has another datum."""
-CONFIRMED = 5
+CONFIRMED = 3
 """Fixes that agree one after the other before any is doubted: a map that has just been turned into
 ENU by two or three of them may be turned wrongly, and would leave all that follow."""
 WIDER = 3.0

@@ -230,3 +230,41 @@ def test_scan_for_a_coarse_map_is_thinned_finely_enough_to_be_matched_first():
     # But for points that rounding moves across the edge of a voxel.
     apart, _ = cKDTree(expected).query(found)
     assert np.median(apart) < 1e-4
+
+
+def along(end, places, seconds=None):
+    """Prepared scans of a car at some places ahead of where it began, metres, every 0.1 s."""
+    seconds = [0.1 * number for number in range(len(places))] if seconds is None else seconds
+    prepared = []
+    for number, (metres, moment) in enumerate(zip(places, seconds, strict=True)):
+        pose = gtsam.Pose3(gtsam.Rot3(), np.array([metres, 0.0, 0.0]))
+        prepared += end.prepare((scan(moment, seen_from(pose, room(seed=number))),))
+    return prepared
+
+
+def test_a_first_motion_that_the_second_refutes_is_left():
+    """No car has 5 m/s within a tenth of a second: one of the two matches went astray."""
+    end = front_end(method='gicp')
+    still, moved, after = along(end, [0.0, 0.0, 0.6, 1.2, 1.8])[1:4]
+    assert still.previous is not None
+    assert (moved.previous, moved.T_previous_current) == (None, None)
+    assert end.notes['left: first motions disagree'] == 1
+    assert after.previous == stamp(0.2)
+    assert_close(after.T_previous_current, gtsam.Pose3(gtsam.Rot3(), [0.6, 0.0, 0.0]), 0.05, 0.01)
+
+
+def test_a_car_that_brakes_hard_as_it_is_first_seen_goes_on():
+    end = front_end(method='gicp')
+    speeds = 6.0 - 4.0 * 0.1 * np.arange(5)
+    scans = along(end, np.cumsum([0.0, *(0.1 * speeds)]))
+    assert all(one.previous is not None for one in scans[1:])
+    assert not end.notes
+
+
+@pytest.mark.parametrize(('gap', 'sure'), [(0.2, True), (0.5, False)])
+def test_a_first_match_over_a_long_gap_is_not_sure(gap, sure):
+    end = front_end(method='gicp')
+    _, first, second = along(end, [0.0, 0.5, 0.6], [0.0, gap, gap + 0.1])
+    deviation = np.sqrt(first.covariance[3:, 3:].diagonal().max())
+    assert deviation < 0.1 if sure else deviation > 2.0
+    assert np.sqrt(second.covariance[3:, 3:].diagonal().max()) < 0.1

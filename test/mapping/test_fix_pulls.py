@@ -111,7 +111,7 @@ def test_a_receiver_that_errs_by_its_noise_is_believed(sigma):
 
 @pytest.mark.parametrize('grows', [0.5, 5.0])
 def test_a_map_that_was_turned_wrongly_at_first_does_not_leave_its_fixes(grows):
-    """All are off, more and more, and no five in a row had agreed."""
+    """All are off, more and more, and no three in a row had agreed."""
     given, told = judged([(grows * second, 0.0) for second in range(3, 40)])
     assert not any(given) and told.count == 0
 
