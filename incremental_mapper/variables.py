@@ -10,8 +10,10 @@ import gtsam
 
 LETTER = 56
 """Bits of a key below its letter."""
+POSE, VELOCITY, BIAS = map(ord, 'xvb')
+"""What a key has above them."""
 # As gtsam.symbol(letter, cluster) makes them, at a fifth of the cost.
-_POSE, _VELOCITY, _BIAS = (ord(letter) << LETTER for letter in 'xvb')
+_POSE, _VELOCITY, _BIAS = (letter << LETTER for letter in (POSE, VELOCITY, BIAS))
 
 
 def pose_key(cluster: int) -> int:

@@ -20,6 +20,10 @@ class CoreMeasurement:
     sensor: str
     kind: CoreKind
 
+    def __hash__(self) -> int:
+        # Asked for thousands of times a second, and hardly two have the same stamp.
+        return hash(self.stamp)
+
 
 @dataclass(frozen=True, slots=True)
 class Cluster:

@@ -1,6 +1,7 @@
 """Which IMU samples lie between two cluster stamps."""
 
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +25,8 @@ class ImuStamps:
 
     def bounds(self, start: int, end: int) -> tuple[int, int]:
         """Positions [low, high) of the samples with start <= stamp < end."""
-        low, high = np.searchsorted(self.stamps, (start, end), side='left')
-        return int(low), int(high)
+        low, high = self.stamps.searchsorted((start, end)).tolist()
+        return low, high
 
     def first_sample(self, start: int, end: int) -> int | None:
         """First sample of the span between two stamps.
@@ -46,10 +47,7 @@ class ImuStamps:
         low, high = self.bounds(start, end)
         if high <= low:
             return None
-        inside = self.stamps[low:high]
-        gap = max(
-            int(inside[0]) - start,
-            end - int(inside[-1]),
-            int(np.diff(inside).max()) if len(inside) > 1 else 0,
-        )
-        return int(inside[0]) if gap <= self.max_gap else None
+        inside: list[int] = self.stamps[low:high].tolist()
+        # On plain integers, since a span has a few samples.
+        gap = max(second - first for first, second in pairwise([start, *inside, end]))
+        return inside[0] if gap <= self.max_gap else None

@@ -59,7 +59,7 @@ def turns_of(prepared: Sequence[Prepared]) -> Turns:
             rate = gtsam.Rot3.Logmap(item.T_previous_current.rotation()) / passed
             found.setdefault((item.core.stamp + item.previous) // 2, []).append(rate)
     stamps = sorted(found)
-    rates = np.array([np.mean(found[stamp], axis=0) for stamp in stamps]).reshape(-1, 3)
+    rates = np.array([sum(found[stamp]) / len(found[stamp]) for stamp in stamps]).reshape(-1, 3)
     return Turns(np.array(stamps, dtype=np.int64), rates)
 
 
@@ -159,6 +159,7 @@ def predict(
     parameters: gtsam.PreintegrationCombinedParams,
     max_gap: int,
     velocity_known: bool,
+    turns: Turns | None = None,
 ) -> dict[int, State]:
     """States at the stamps of a window's core measurements: initial values, never measurements.
 
@@ -172,12 +173,13 @@ def predict(
         parameters: Noise and gravity of the pre-integration.
         max_gap: Longest hole in the samples, ns, that they are used across.
         velocity_known: Whether the velocity of ``start`` is better than what one match says.
+        turns: How the car turned by the measurements, where that is known already.
 
     Returns:
         The states by stamp (ns), in time order.
     """
     poses = dict(scan_poses)
-    turns = turns_of(prepared)
+    turns = turns_of(prepared) if turns is None else turns
     states: dict[int, State] = {}
     current = start
     for item in prepared:

@@ -310,7 +310,8 @@ def integrate(
         parameters = _doubting(parameters, float(told.hard.mean()), passed)
     # Stamps are subtracted as integers: doubles hold epoch nanoseconds to 256 ns only.
     moments = [stamp - start for stamp in samples.stamps.tolist()]
-    edges = [(first + second) / 2.0 for first, second in pairwise(moments)]
+    ends = [(first + second) / 2.0 for first, second in pairwise(moments)]
+    ends.append(float(end - start))
     make = (
         gtsam.PreintegratedImuMeasurements
         if constant_bias
@@ -318,7 +319,6 @@ def integrate(
     )
     preintegrated = make(parameters, bias)
     begin = 0.0
-    ends = [*edges, float(end - start)]
     for force, rate, end_ns in zip(told.forces, samples.gyro, ends, strict=True):
         dt = (end_ns - begin) / NANOSECONDS
         if dt > 0.0:  # a sample exactly at the start has half its time in the span before

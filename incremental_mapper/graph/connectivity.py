@@ -7,8 +7,6 @@ scan, and which clusters odometry alone joins. A candidate's connections then on
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from scipy.cluster.hierarchy import DisjointSet
-
 from incremental_mapper.candidates.model import HEAD, Candidate, Cluster, CoreMeasurement
 from incremental_mapper.frontend.front_end import Prepared
 from incremental_mapper.frontend.match_noise import weak_directions
@@ -18,8 +16,8 @@ from incremental_mapper.graph.frontier import Frontier
 
 LOCAL = 1 << 40
 """Candidates' clusters are numbered from here on while they compete, the same in every window."""
-GRAPH = 'G(t-1)'
-"""The node that stands for all of G(t-1) in the connectivity of a candidate."""
+GRAPH = 0
+"""The place of all of G(t-1) before those of a candidate's clusters."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,25 +127,31 @@ class Partitions:
         for cluster, own in zip(clusters, numbers, strict=True):
             for core in cluster.members:
                 homes[core.sensor, core.stamp] = own
-        every, firm = DisjointSet([GRAPH, *numbers]), DisjointSet([GRAPH, *numbers])
-        if self._is_first and numbers:
-            every.merge(GRAPH, numbers[0])
-            firm.merge(GRAPH, numbers[0])
-        for cluster, own in zip(clusters, numbers, strict=True):
+        places = {number: place for place, number in enumerate(numbers, GRAPH + 1)}
+        first = [(GRAPH, GRAPH + 1)] if self._is_first and numbers else []
+        every, firm = first.copy(), first
+        for place, cluster in enumerate(clusters, GRAPH + 1):
             for core in cluster.members:
                 item = self._prepared[core]
                 if isinstance(item, PreparedScan) and item.previous is not None:
                     other = homes.get((core.sensor, item.previous))
                     if other is not None:
-                        ends = GRAPH if other in known else other, own
-                        every.merge(*ends)
+                        ends = GRAPH if other in known else places[other], place
+                        every.append(ends)
                         if core not in self._weak:
-                            firm.merge(*ends)
+                            firm.append(ends)
         numbered = dict(zip(numbers, clusters, strict=True))
-        return Partition(clusters, numbered, homes, _labels(every, numbers), _labels(firm, numbers))
+        count = len(clusters)
+        return Partition(clusters, numbered, homes, _labels(count, every), _labels(count, firm))
 
 
-def _labels(sets: DisjointSet, numbers: tuple[int, ...]) -> tuple[int, ...]:
-    """Component of every number; 0 is that of G(t-1)."""
-    labels: dict[int | str, int] = {sets[GRAPH]: 0}
-    return tuple(labels.setdefault(sets[own], len(labels)) for own in numbers)
+def _labels(count: int, joined: Sequence[tuple[int, int]]) -> tuple[int, ...]:
+    """Component of every cluster by the places that matches join; 0 is that of G(t-1)."""
+    # Of the few clusters of a window: a library's sets take longer to be filled.
+    labels = list(range(count + 1))
+    for ends in joined:
+        low, high = sorted(labels[place] for place in ends)
+        if low != high:
+            labels = [low if label == high else label for label in labels]
+    found = {labels[GRAPH]: 0}
+    return tuple(found.setdefault(label, len(found)) for label in labels[GRAPH + 1 :])

@@ -87,7 +87,7 @@ class SpanFactors:
         key = ('imu', first, last, home)
         if key not in self._cache:
             series, between = self._in.series, (first_stamp, last_stamp)
-            low, high = np.searchsorted(series.stamps, between, side='left')
+            low, high = series.stamps.searchsorted(between).tolist()
             span = preintegrate(
                 series,
                 *between,
@@ -174,7 +174,7 @@ class SpanFactors:
         if behind == HEAD and not self._in.frontier.head_inertial:
             return None
         since, until = self._ends(candidate, behind)[1], candidate.clusters[index].stamp
-        low, high = np.searchsorted(self._in.series.stamps, (since, until), side='left')
+        low, high = self._in.series.stamps.searchsorted((since, until)).tolist()
         near = until - since <= round(config.preintegration.max_gap * NANOSECONDS)
         return behind if near and low == high else None
 

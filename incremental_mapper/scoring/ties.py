@@ -38,7 +38,11 @@ def planes_of(
     slices -= slices.min(initial=0)
     # One number for both is sorted at a third of the cost of a pair.
     both = family * (slices.max(initial=0) + 1) + slices
-    return np.unique(both, return_inverse=True)[1].reshape(-1)
+    order = both.argsort()
+    ordered = both[order]
+    number = np.zeros(len(both), dtype=np.int64)
+    number[order[1:]] = (ordered[1:] != ordered[:-1]).cumsum()
+    return number
 
 
 def ties(

@@ -2,9 +2,8 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import isfinite
 from typing import Any
-
-import numpy as np
 
 from incremental_mapper.candidates.enumeration import candidates, upper_bound
 from incremental_mapper.candidates.model import Candidate
@@ -80,8 +79,9 @@ def best_index(scores: Sequence[float], scored: Sequence[Candidate]) -> int | No
         The lowest score; among equal ones the fewest vertices, then the finer partition. None
         where no score is finite.
     """
-    finite = [i for i, score in enumerate(scores) if np.isfinite(score)]
-    return min(finite, key=lambda i: (scores[i], *_simplicity(scored[i])), default=None)
+    lowest = min((score for score in scores if isfinite(score)), default=None)
+    alike = [i for i, score in enumerate(scores) if score == lowest]
+    return min(alike, key=lambda i: _simplicity(scored[i]), default=None)
 
 
 def _simplicity(candidate: Candidate) -> tuple[Any, ...]:

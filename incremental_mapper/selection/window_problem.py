@@ -12,7 +12,7 @@ from incremental_mapper.candidates.model import Candidate, Cluster
 from incremental_mapper.candidates.partitions import Element, group_elements
 from incremental_mapper.candidates.spans import ImuStamps
 from incremental_mapper.config import Config
-from incremental_mapper.frontend.dead_reckoning import State, predict, turns_of
+from incremental_mapper.frontend.dead_reckoning import State, Turns, predict, turns_of
 from incremental_mapper.frontend.front_end import Prepared, PreparedFix
 from incremental_mapper.frontend.imu_preintegration import ImuSeries, level_rotation
 from incremental_mapper.graph.bias_sharing import sharing
@@ -143,7 +143,8 @@ def pose_problem(
     series = series.with_forces(parameters)
     # What is held for evidence that comes later is no part of a window's choice.
     prior = release(trimmed(state.prior, state.recent_poses(recent)))
-    inputs = window_inputs(items, state, series, orientation, parameters, config)
+    turns = turns_of(items)
+    inputs = window_inputs(items, state, series, orientation, parameters, config, turns)
     partitions = Partitions(inputs.prepared, inputs.frontier)
     compensation = MotionCompensation(
         inputs.head_state,
@@ -151,7 +152,7 @@ def pose_problem(
         parameters,
         max_gap,
         config.graph.motion_compensation,
-        turns_of(items),
+        turns,
     )
     factors = FactorBuilder(inputs, partitions, compensation)
     return WindowProblem(
@@ -179,6 +180,7 @@ def window_inputs(
     orientation: NDArray[np.float64] | None,
     parameters: gtsam.PreintegrationCombinedParams,
     config: Config,
+    turns: Turns,
 ) -> WindowInputs:
     """Gather the inputs of a window; ``orientation`` is the IMU's first quaternion, if any."""
     frontier = state.frontier
@@ -193,7 +195,7 @@ def window_inputs(
     }
     max_gap = round(config.preintegration.max_gap * NANOSECONDS)
     states = predict(
-        items, start, scan_poses, series, parameters, max_gap, velocity_known=state.velocity_known
+        items, start, scan_poses, series, parameters, max_gap, state.velocity_known, turns
     )
     return WindowInputs(
         prepared={item.core: item for item in items},

@@ -22,7 +22,7 @@ from incremental_mapper.smoothing.linear_system import (
 )
 from incremental_mapper.smoothing.marginal_prior import MarginalPrior
 from incremental_mapper.smoothing.tangent import Pivoted, linearised, retracted
-from incremental_mapper.variables import cluster_of, kind_of, pose_key
+from incremental_mapper.variables import LETTER, VELOCITY, cluster_of, kind_of, pose_key
 
 AGREEMENT = 1e-4
 """A solve has converged where the linear error is the true one, or the step makes the linear
@@ -264,9 +264,11 @@ class SharedProblem(Problem):
         if known is None:
             keys = tuple(factor.keys())
             # The step of a velocity turns with its pose.
-            poses = (pose_key(cluster_of(key)) for key in keys if kind_of(key) == 'v')
-            lacking = [key for key in poses if key not in keys and self.values.exists(key)]
-            keys = (*keys, *lacking)
+            for velocity in keys:
+                if velocity >> LETTER == VELOCITY:
+                    pose = pose_key(cluster_of(velocity))
+                    if pose not in keys and self.values.exists(pose):
+                        keys = (*keys, pose)
             model = getattr(factor, 'noiseModel', lambda: None)()
             robust = None
             if isinstance(model, gtsam.noiseModel.Robust):

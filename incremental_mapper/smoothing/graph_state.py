@@ -3,6 +3,7 @@
 from collections import Counter, deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import islice
 from typing import TypeAlias
 
 import gtsam
@@ -286,12 +287,9 @@ class GraphState:
         """
         self.frontier = frontier
         chains = frontier.chains
-        offsets = self.scan_offsets | {
-            (scan.sensor, scan.stamp): scan.T_cluster_scan
-            for scan in self.scans[-50 * max(len(chains), 1) :]
-        }
         self.scan_offsets = {
-            (name, stamp): offsets[name, stamp] for name, (_, stamp) in chains.items()
+            (name, stamp): self._scan_offset(name, stamp, 50 * len(chains))
+            for name, (_, stamp) in chains.items()
         }
         head = frontier.head
         if head is not None and frontier.head_inertial:
@@ -304,6 +302,13 @@ class GraphState:
         self.prior, gone = marginalise(self.prior, frontier.keys(), oldest)
         self.values.insert(gone)
         self.oldest = oldest
+
+    def _scan_offset(self, sensor: str, stamp: int, newest: int) -> gtsam.Pose3:
+        """T_cluster_scan of a scan: one of so many, or one whose offset is kept."""
+        for scan in islice(reversed(self.scans), newest):
+            if scan.stamp == stamp and scan.sensor == sensor:
+                return scan.T_cluster_scan
+        return self.scan_offsets[sensor, stamp]
 
     def turn_to_enu(
         self,

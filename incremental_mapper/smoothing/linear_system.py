@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dpotrs
 
 from incremental_mapper.compiled import kernel
-from incremental_mapper.variables import LETTER, cluster_of, pose_key
+from incremental_mapper.variables import LETTER, POSE, VELOCITY, cluster_of, pose_key
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -26,7 +26,6 @@ REGULARISING_SIGMA = 1e3
 DIMENSIONS = {'x': 6, 'v': 3, 'b': 6}
 """Numbers of a tangent step, by the kind of the variable: pose, velocity, bias."""
 _SIZES = {ord(letter): size for letter, size in DIMENSIONS.items()}
-_POSE, _VELOCITY = ord('x'), ord('v')
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +68,7 @@ class Layout:
         """The poses among the variables, and where they stand."""
         if self._poses is None:
             self._poses = tuple(
-                (key, place) for key, place in self.places.items() if key >> LETTER == _POSE
+                (key, place) for key, place in self.places.items() if key >> LETTER == POSE
             )
         return self._poses
 
@@ -79,7 +78,7 @@ class Layout:
         if self._velocities is None:
             found = []
             for key, place in self.places.items():
-                if key >> LETTER == _VELOCITY:
+                if key >> LETTER == VELOCITY:
                     pose = pose_key(cluster_of(key))
                     at = self.places.get(pose)
                     if at is not None:

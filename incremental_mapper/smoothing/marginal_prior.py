@@ -9,9 +9,11 @@ window.
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import gtsam
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg.lapack import dgeqrf, dtrtrs
 
 from incremental_mapper.smoothing.linear_system import Array, Layout, layout_of, solve_scaled
@@ -93,7 +95,7 @@ class MarginalPrior:
         """The matrix (n, n) that makes GTSAM's steps of the frontier of those about the pivot."""
         layout = layout_of(self.keys)
         matrix = np.eye(layout.size)
-        to_own_rows(matrix, layout, Pivoted(self.base, self.pivot))
+        to_own_rows(matrix, layout, Pivoted(self.base, self.pivot), self.keys)
         return matrix
 
     def _moved(self, keys: tuple[int, ...], step: Array) -> gtsam.Values:
@@ -118,11 +120,11 @@ class MarginalPrior:
         if solution is None:
             return None
         here = Pivoted(self.base, self.pivot)
-        to_base_rows(solution, layout, here)
+        to_base_rows(solution, layout, here, keys)
         half = solution[columns].T.copy()
         joint = np.zeros((layout.size, len(columns)))
         joint[columns] = half
-        to_base_rows(joint, layout, here)
+        to_base_rows(joint, layout, here, keys)
         return joint[columns]
 
 
@@ -150,10 +152,10 @@ def marginalise(
     count = len(first)
     # Where the last solve did not converge, the dropped ones still have a way to go: the last
     # column.
-    solved = np.column_stack([-reduced[:count, count:], rest[:count]])
+    solved = np.concatenate([-reduced[:count, count:], rest[:count, None]], axis=1)
     if count:
         solved, _ = dtrtrs(reduced[:count, :count], solved)
-    moves = np.vstack([prior.gains[:, first] @ solved, _own(solved, prior, dropped, kept)])
+    moves = np.concatenate([prior.gains[:, first] @ solved, _own(solved, prior, dropped, kept)])
     spread = prior.spread
     if prior.held and count:
         # What is dropped is not known exactly where the rest is, and the held ones move with it.
@@ -217,9 +219,9 @@ def _own(
     steps: Array, prior: MarginalPrior, dropped: tuple[int, ...], kept: tuple[int, ...]
 ) -> Array:
     """Steps (f, k + 1) of dropped variables, with unit steps of the kept ones, as GTSAM's."""
-    layout, count = Layout(dropped + kept), len(steps)
-    moves = np.vstack([steps, np.eye(layout.size - count, steps.shape[1])])
-    to_own_rows(moves, layout, Pivoted(prior.base, prior.pivot))
+    layout, count = layout_of(dropped + kept), len(steps)
+    moves = np.concatenate([steps, np.eye(layout.size - count, steps.shape[1])])
+    to_own_rows(moves, layout, Pivoted(prior.base, prior.pivot), dropped)
     return moves[:count]
 
 
@@ -247,6 +249,14 @@ def trimmed(prior: MarginalPrior, eliminated: Collection[int]) -> MarginalPrior:
 def triangle(matrix: Array, rhs: Array) -> tuple[Array, Array]:
     """R (n, n) and c (n,) of ‖matrix · δ − rhs‖² = ‖R · δ − c‖² + constant, m >= n rows."""
     size = matrix.shape[1]
-    packed, _, _, _ = dgeqrf(np.column_stack([matrix, rhs]), overwrite_a=1)
-    triangle = np.triu(packed[:size])
+    both = np.empty((len(rhs), size + 1), order='F')
+    both[:, :size], both[:, size] = matrix, rhs
+    packed, _, _, _ = dgeqrf(both, overwrite_a=1)
+    triangle = np.where(_upper(min(len(packed), size), size + 1), packed[:size], 0.0)
     return triangle[:, :size], triangle[:, size]
+
+
+@lru_cache(maxsize=256)
+def _upper(rows: int, columns: int) -> NDArray[np.bool_]:
+    """Which places of a matrix are not below its diagonal."""
+    return np.arange(rows)[:, None] <= np.arange(columns)

@@ -12,6 +12,8 @@ A velocity whose pose is not among the variables just gets its step, and elimina
 GTSAM's: they are only looked up.
 """
 
+from collections.abc import Collection
+
 import gtsam
 import numpy as np
 
@@ -106,30 +108,36 @@ def from_own_columns(rows: Array, layout: Layout, here: Pivoted) -> None:
         rows[:, velocity.turn] -= rows[:, velocity.place] @ here.swing(velocity.key)
 
 
-def to_own_rows(rows: Array, layout: Layout, here: Pivoted) -> None:
+def to_own_rows(rows: Array, layout: Layout, here: Pivoted, keys: Collection[int]) -> None:
     """Turn steps as above into GTSAM's.
 
     Args:
         rows: Steps (n, k), k of them, changed in place.
         layout: Where each variable's rows are.
         here: Where they start.
+        keys: The variables whose rows are turned.
     """
     for velocity in layout.velocities:
-        rows[velocity.place] -= here.swing(velocity.key) @ rows[velocity.turn]
+        if velocity.key in keys:
+            rows[velocity.place] -= here.swing(velocity.key) @ rows[velocity.turn]
     for key, place in layout.poses:
-        rows[place] = here.own_steps(key) @ rows[place]
+        if key in keys:
+            rows[place] = here.own_steps(key) @ rows[place]
 
 
-def to_base_rows(rows: Array, layout: Layout, here: Pivoted) -> None:
+def to_base_rows(rows: Array, layout: Layout, here: Pivoted, keys: Collection[int]) -> None:
     """As ``to_own_rows``, with the steps of velocities along the axes of their poses.
 
     A velocity as the vehicle itself sees it: the attitude has no part in its step.
     """
     for velocity in layout.velocities:
+        if velocity.key not in keys:
+            continue
         rotation = here.values.atPose3(velocity.pose_key).rotation()
         rows[velocity.place] = rotation.matrix().T @ rows[velocity.place]
     for key, place in layout.poses:
-        rows[place] = here.own_steps(key) @ rows[place]
+        if key in keys:
+            rows[place] = here.own_steps(key) @ rows[place]
 
 
 def move_pivot(rows: Array, layout: Layout, shift: Array) -> None:

@@ -19,6 +19,7 @@ from turning_car import (
 )
 from turning_car import settings as car_settings
 
+from incremental_mapper.frontend.dead_reckoning import turns_of
 from incremental_mapper.frontend.imu_preintegration import (
     EMPTY_SERIES,
     ImuSeries,
@@ -34,7 +35,7 @@ WINDOW = {40 * MS: {'gps'}, 60 * MS: {'left'}}
 def inputs_of(items, state, series, orientation=None, config=None):
     config = car_settings() if config is None else config
     parameters = preintegration_parameters(config.preintegration, config.imu.matrix())
-    return window_inputs(items, state, series, orientation, parameters, config)
+    return window_inputs(items, state, series, orientation, parameters, config, turns_of(items))
 
 
 def test_first_fix_puts_enu_where_the_antenna_is_then():

@@ -103,7 +103,7 @@ def test_own_rows_are_the_steps_that_gtsam_takes_for_the_same_motion(seed):
     step = rng.normal(size=LAYOUT.size) * 1e-6
     moved = retracted(Pivoted(values, pivot), LAYOUT, step)
     rows = step[:, None].copy()
-    to_own_rows(rows, LAYOUT, Pivoted(values, pivot))
+    to_own_rows(rows, LAYOUT, Pivoted(values, pivot), KEYS)
     found = values.localCoordinates(moved)
     for key, place in LAYOUT.places.items():
         assert rows[place, 0] == pytest.approx(found.at(key), abs=1e-10)
@@ -114,7 +114,7 @@ def test_own_rows_are_the_steps_that_gtsam_takes_for_the_same_motion(seed):
         )
     # Along the axes of base_link a velocity changes as the vehicle sees it.
     rows = step[:, None].copy()
-    to_base_rows(rows, LAYOUT, Pivoted(values, pivot))
+    to_base_rows(rows, LAYOUT, Pivoted(values, pivot), KEYS)
     for velocity in LAYOUT.velocities:
         before, after = (
             item.atPose3(velocity.pose_key).rotation().unrotate(item.atVector(velocity.key))
