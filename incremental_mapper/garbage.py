@@ -11,6 +11,8 @@ import gc
 import signal
 import sys
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -28,6 +30,20 @@ def search_little() -> None:
     if _after_search not in gc.callbacks:
         gc.callbacks.append(_after_search)
         sys.unraisablehook = _hand_on
+
+
+@contextmanager
+def unsearched() -> Iterator[None]:
+    """Search for nothing inside: what is imported stays, and looking at it takes 0.1 s."""
+    before = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if _after_search in gc.callbacks:
+            gc.freeze()
+        if before:
+            gc.enable()
 
 
 def search_all() -> None:

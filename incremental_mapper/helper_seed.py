@@ -18,6 +18,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import IO
 
+from incremental_mapper.garbage import unsearched
 from incremental_mapper.helper_process import Helper, widen
 
 
@@ -157,8 +158,9 @@ class _Forked:
 def main() -> None:
     """In the seed: import, then fork what is asked for on a socket, the standard input."""
     with socket.socket(fileno=os.dup(0)) as asked:
-        for name in sys.argv[1:]:
-            importlib.import_module(name).get_ready()
+        with unsearched():
+            for name in sys.argv[1:]:
+                importlib.import_module(name).get_ready()
         gc.freeze()  # what is there stays, and is never copied to be looked at
         signal.signal(signal.SIGCHLD, _reap)
         while True:

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import pytest
 
 from incremental_mapper import garbage
-from incremental_mapper.garbage import search_all, search_little, set_aside
+from incremental_mapper.garbage import search_all, search_little, set_aside, unsearched
 
 
 class Held:
@@ -101,3 +101,17 @@ def test_an_interrupt_that_meets_a_search_ends_the_program_all_the_same() -> Non
         [sys.executable, '-c', INTERRUPTED], capture_output=True, text=True, timeout=20
     )
     assert (done.stdout, done.stderr) == ('interrupted\n', '')
+
+
+@pytest.mark.usefixtures('little')
+def test_what_is_made_unsearched_is_not_looked_at_later_either() -> None:
+    with unsearched():
+        assert not gc.isenabled()
+        kept = [Held() for _ in range(1000)]
+    assert gc.isenabled()
+    assert gc.get_freeze_count() > len(kept)
+    gc.disable()
+    with unsearched():
+        pass
+    assert not gc.isenabled()
+    gc.enable()

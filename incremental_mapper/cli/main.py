@@ -9,6 +9,7 @@ from importlib import import_module
 
 from incremental_mapper import __version__
 from incremental_mapper.batch import work_in_batches
+from incremental_mapper.blas import start_no_threads
 from incremental_mapper.cli import exit_status
 from incremental_mapper.errors import ConfigError, MapperError
 from incremental_mapper.garbage import search_little
@@ -66,6 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = sys.argv[1:] if arguments is None else list(arguments)
     if arguments is None:
         search_little()
+        start_no_threads()
         if words[:1] != ['play']:  # which keeps the time of a drive
             work_in_batches()
     try:

@@ -15,7 +15,7 @@ from incremental_mapper.cli import exit_status
 from incremental_mapper.cli.inputs import add_input
 from incremental_mapper.errors import OutputError
 from incremental_mapper.frontend.scan_servers import hold, let_go
-from incremental_mapper.garbage import set_aside
+from incremental_mapper.garbage import set_aside, unsearched
 
 if TYPE_CHECKING:
     from incremental_mapper.config import Tree
@@ -100,7 +100,8 @@ def run(args: argparse.Namespace) -> int:
         args.wrong_usage('the following arguments are required: OUT_DIR')
     hold()  # the LiDARs' processes get ready while the rest is imported
     try:
-        from incremental_mapper.settings import make_config
+        with unsearched():
+            from incremental_mapper.settings import make_config
 
         tree, where = _settings(args), str(args.config or 'settings')
         make_config(tree, where)
@@ -111,16 +112,17 @@ def run(args: argparse.Namespace) -> int:
 
 def _map(args: argparse.Namespace, tree: 'Tree', where: str, started: float) -> int:
     """Map with the settings ``tree`` from ``where``; told is how long it took since ``started``."""
-    from incremental_mapper.checks.finding import Severity
-    from incremental_mapper.cli.findings_text import print_findings
-    from incremental_mapper.cli.progress import Progress
-    from incremental_mapper.evaluation.report.report_process import ReportProcess
-    from incremental_mapper.results.candidate_table import FILE_NAME
-    from incremental_mapper.results.offline_run import Stop, map_into
-    from incremental_mapper.results.opened_drive import open_drive
-    from incremental_mapper.results.run_folder import is_whole, prepared_folder
-    from incremental_mapper.results.summary import brief, summary
-    from incremental_mapper.visualization.extras import importable, missing_files
+    with unsearched():
+        from incremental_mapper.checks.finding import Severity
+        from incremental_mapper.cli.findings_text import print_findings
+        from incremental_mapper.cli.progress import Progress
+        from incremental_mapper.evaluation.report.report_process import ReportProcess
+        from incremental_mapper.results.candidate_table import FILE_NAME
+        from incremental_mapper.results.offline_run import Stop, map_into
+        from incremental_mapper.results.opened_drive import open_drive
+        from incremental_mapper.results.run_folder import is_whole, prepared_folder
+        from incremental_mapper.results.summary import brief, summary
+        from incremental_mapper.visualization.extras import importable, missing_files
 
     if args.view or args.rrd is not None:
         from incremental_mapper.visualization.rerun_scene import check_rrd, load_rerun

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 
 import gtsam
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 
 from incremental_mapper.checks.finding import Finding
 from incremental_mapper.checks.imu_beside_lidar import check_motion
@@ -261,8 +261,9 @@ def _spikes(rows: NDArray[np.float64], most: NDArray[np.float64]) -> NDArray[np.
         # is, and the filter takes ten times as long as all else here.
         if not (np.abs(np.diff(rows, axis=0)) > far).any():
             return np.zeros(len(rows), dtype=bool)
-        off = np.abs(rows - median_filter(rows, size=(AROUND, 1), mode='nearest'))
-    spikes: NDArray[np.bool_] = (off > far).any(axis=1)
+        beyond = np.pad(rows, ((AROUND // 2, AROUND // 2), (0, 0)), mode='edge')
+        usual_there = np.median(sliding_window_view(beyond, AROUND, axis=0), axis=-1)
+        spikes: NDArray[np.bool_] = np.any(np.abs(rows - usual_there) > far, axis=1)
     return spikes
 
 
