@@ -167,7 +167,7 @@ class System:
     whitened factors. ``total`` (n,) is the step from the prior's values so far.
     """
 
-    __slots__ = ('_prior', 'layout', 'rest', 'rows', 'total')
+    __slots__ = ('_error', '_prior', '_prior_error', 'layout', 'rest', 'rows', 'total')
 
     def __init__(
         self, prior: PriorRows, layout: Layout, rows: Array, rest: Rest, total: Array
@@ -177,6 +177,8 @@ class System:
         self.rows = rows
         self.rest = rest
         self.total = total
+        self._error: float | None = None
+        self._prior_error: float | None = None
 
     @property
     def known(self) -> int:
@@ -186,13 +188,18 @@ class System:
     @property
     def prior_error(self) -> float:
         """What both priors say against the step so far."""
-        rest = self.rest
-        return float(rest.prior @ rest.prior + rest.regularising @ rest.regularising)
+        if self._prior_error is None:
+            rest = self.rest
+            squares = rest.prior @ rest.prior + rest.regularising @ rest.regularising
+            self._prior_error = float(squares)
+        return self._prior_error
 
     @property
     def error(self) -> float:
         """Σ‖h(x)−z‖²_Σ of the factors, as far as they are linear."""
-        return float(self.rest.factors @ self.rest.factors)
+        if self._error is None:
+            self._error = float(self.rest.factors @ self.rest.factors)
+        return self._error
 
     @property
     def cost(self) -> float:
