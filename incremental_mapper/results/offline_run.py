@@ -305,13 +305,14 @@ def _map_once(
         raise _nothing_used(source)
     stage('map')
     cloud = result.cloud(config.map)
+    wall = of_all.wall + time.perf_counter() - started  # comparing and drawing are no mapping
     for watcher in watchers:
         watcher.finish(result, cloud)
     errors = None if truth is None else trajectory_errors(result.trajectory, truth)
     statistics = RunStatistics.of_run(
         result,
         source.drops,
-        of_all.wall + time.perf_counter() - started,
+        wall,
         len(cloud),
         of_all.facts,
         errors,
