@@ -94,7 +94,8 @@ def with_times(scan: LidarScan) -> LidarScan:
 
 
 def measure(drive: Path, tree: dict[str, Any], times: bool, seconds: float) -> Outcome:
-    """Run the front end over the scans of a drive."""
+    """Run the front end over the scans of a drive, in this process: costs are its thread's."""
+    tree = merge(tree, {'odometry': {'processes': False}})
     source = open_source(drive, tree)
     truth = source.truth()
     if truth is None:

@@ -14,10 +14,12 @@ SLOW = 0.35
 """Seconds between two samples up to which an IMU is slow, and not of no use."""
 LONGER = 1.4
 """So many times its usual step a gap may be: stamps of 10 Hz differ by 0.10 to 0.11 s."""
-UNKNOWN = 3.0
+UNKNOWN = 6.0
 """So many times the scatter of its samples an IMU's noise is then: what is not seen between samples
 is alike for as long as a manoeuvre lasts, some ten of them, and the noise of a span is new at each.
-Twice as much or half as much make hardly a difference."""
+3, 6 and 12 give KITTI 0013 without fixes an ATE of 0.298, 0.291 and 0.288 m by base, a simulated
+street of 64 beams with fixes 13, 9 and 8 mm, one of KAIST's LiDARs without fixes 93, 74 and 49 mm,
+and another one 34 mm with each; by mom that has 32, 22 and 26 mm."""
 
 
 def check_slow(

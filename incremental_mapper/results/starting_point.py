@@ -92,8 +92,8 @@ def starting_point(
         )
     points = max((shape.points for shape in shapes.values()), default=0)
     if points > DENSE:
-        why = f'{points} points a scan: matches are as good and take half the time'
-        chosen.append(Choice('odometry.voxel_size', 1.0, why, KITTI))
+        why = f'{points} points a scan: many of them see the same, and tell less than so many'
+        chosen.append(Choice('odometry.covariance_scale', 75.0, why, KITTI))
     if points > MANY and cores > 1:
         why = 'two cores or more: scans are matched beside the windows, with the same results'
         chosen.append(Choice('odometry.processes', True, why, KITTI if len(shapes) == 1 else KAIST))
