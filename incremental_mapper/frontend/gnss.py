@@ -58,7 +58,9 @@ def fixed_datum(settings: DatumSettings) -> Datum | None:
 
 
 def align_track(
-    enu: NDArray[np.float64], local: NDArray[np.float64]
+    enu: NDArray[np.float64],
+    local: NDArray[np.float64],
+    sigmas: NDArray[np.float64] | None = None,
 ) -> tuple[float, NDArray[np.float64]]:
     """Yaw and shift between two tracks by least squares; roll and pitch are known by gravity.
 
@@ -67,16 +69,19 @@ def align_track(
     Args:
         enu: Antenna positions (K, 3) by the fixes, metres.
         local: The same by odometry.
+        sigmas: Standard deviations (K,) of the fixes, metres; None where they are alike.
 
     Returns:
         Yaw in radians and shift (3,) with p_enu ≈ R(yaw) · p_local + shift.
     """
-    enu_mean, local_mean = enu.mean(axis=0), local.mean(axis=0)
+    weights = np.ones(len(enu)) if sigmas is None else sigmas**-2.0
+    enu_mean = np.average(enu, axis=0, weights=weights)
+    local_mean = np.average(local, axis=0, weights=weights)
     a, b = enu - enu_mean, local - local_mean
     yaw = float(
         np.arctan2(
-            np.sum(b[:, 0] * a[:, 1] - b[:, 1] * a[:, 0]),
-            np.sum(b[:, 0] * a[:, 0] + b[:, 1] * a[:, 1]),
+            np.sum(weights * (b[:, 0] * a[:, 1] - b[:, 1] * a[:, 0])),
+            np.sum(weights * (b[:, 0] * a[:, 0] + b[:, 1] * a[:, 1])),
         )
     )
     cosine, sine = np.cos(yaw), np.sin(yaw)

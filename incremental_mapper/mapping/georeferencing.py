@@ -75,10 +75,11 @@ def georeference(state: GraphState, config: Config) -> bool:
     track = agreeing_track(enu, local, sigmas, config.fixes.min_distance)
     if track is None:
         return False
-    yaw, shift = align_track(enu[track], local[track])
+    yaw, shift = align_track(enu[track], local[track], sigmas[track])
     T_enu_map = gtsam.Pose3(gtsam.Rot3.Yaw(yaw), shift)
     turned = turn_values(state.all_values(), T_enu_map)
-    factors = [turn_prior(factor, T_enu_map, config) for factor in state.factors.unpacked()]
+    middle = local[track].mean(axis=0)
+    factors = [turn_prior(factor, T_enu_map, config, middle) for factor in state.factors.unpacked()]
     for fix in state.fixes:
         factors[fix.factor] = gnss_factor(
             factors[fix.factor].keys[0],
@@ -167,7 +168,12 @@ def _solved(
     )
 
 
-def turn_prior(factor: Factor, T_enu_map: gtsam.Pose3, config: Config) -> Factor:
+def turn_prior(
+    factor: Factor,
+    T_enu_map: gtsam.Pose3,
+    config: Config,
+    middle: NDArray[np.float64] | None = None,
+) -> Factor:
     """What says something of a pose or velocity in the map, under the new frame; not of fixes.
 
     Position and yaw of the priors are only loosely held from here on: the fixes know better.
@@ -176,13 +182,17 @@ def turn_prior(factor: Factor, T_enu_map: gtsam.Pose3, config: Config) -> Factor
         factor: Any.
         T_enu_map: To the new frame.
         config: All settings.
+        middle: Of what told the new frame (3,), in the map, metres: a wrong turn about it moves a
+            prior the further the further away that is. None where the turn is certain.
     """
     if factor.kind is FactorKind.PRIOR_POSE:
         graph = config.graph
         data = factor.data
+        place = np.array(data['T_map_base'])[:3]
+        far = 0.0 if middle is None else float(np.linalg.norm(place - middle))
+        position = max(graph.weak_sigma_position, graph.prior_sigma_yaw * far)
         sigmas = np.maximum(
-            np.array(data['sigmas']),
-            [0.0, 0.0, graph.prior_sigma_yaw] + [graph.weak_sigma_position] * 3,
+            np.array(data['sigmas']), [0.0, 0.0, graph.prior_sigma_yaw] + [position] * 3
         )
         pose = T_enu_map.compose(gtsam.Pose3(pose_matrix(data['T_map_base'])))
         return pose_prior(factor.keys[0], pose, sigmas, factor.stamps[0])

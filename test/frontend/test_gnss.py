@@ -179,3 +179,14 @@ def test_pose_sigmas_put_rotation_first():
     turned = gtsam.Pose3(gtsam.Rot3.Yaw(0.3), np.zeros(3))
     assert error_at(prior, shifted) == pytest.approx((1.0 / 0.5) ** 2)
     assert error_at(prior, turned) == pytest.approx((0.3 / 0.1) ** 2)
+
+
+def test_a_fix_that_says_that_it_errs_by_metres_turns_no_track():
+    local = np.array([[0.0, 0.0, 0.0], [5.0, 0.0, 0.0], [10.0, 0.0, 0.0]])
+    enu = local @ gtsam.Rot3.Yaw(0.5).matrix().T
+    enu[0] += [1.5, -1.5, 0.0]
+    assert abs(align_track(enu, local)[0] - 0.5) > 0.1
+    yaw, _ = align_track(enu, local, np.array([2.0, 0.02, 0.02]))
+    assert yaw == pytest.approx(0.5, abs=1e-3)
+    alike = align_track(enu, local, np.full(3, 0.3))
+    assert alike[0] == pytest.approx(align_track(enu, local)[0])
