@@ -7,6 +7,7 @@ memory is divided by their number. Names of pieces are the kinds of factors as i
 
 import gc
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +36,16 @@ SAMPLES = 6
 COLUMNS = 34
 """Columns of windows.csv."""
 STAMP = 1_500_000_000_000_000_000
+
+
+def children(process: int | str) -> list[int]:
+    """Numbers of the processes that a process has started, whichever of its threads did so."""
+    found: list[int] = []
+    with suppress(OSError):  # threads and processes may end while they are looked at
+        for task in Path(f'/proc/{process}/task').iterdir():
+            with suppress(OSError):
+                found += map(int, (task / 'children').read_text(encoding='ascii').split())
+    return found
 
 
 def resident(pid: int | str = 'self') -> int:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from graph_memory import resident
+from graph_memory import children, resident
 from long_drive import RepeatedDrive
 
 from incremental_mapper.config import Config
@@ -77,13 +77,11 @@ def hour(source: Source, config: Config, minutes: float) -> dict[str, Any]:
     }
 
 
-def proportional_mb(process: str = 'self') -> float:
+def proportional_mb(process: int | str = 'self') -> float:
     """Megabytes that a process and all below it hold, what they share counted once."""
     try:
         lines = Path(f'/proc/{process}/smaps_rollup').read_text().splitlines()
-        tasks = Path(f'/proc/{process}/task').iterdir()
-        below = [number for task in tasks for number in (task / 'children').read_text().split()]
     except OSError:
         return 0.0  # it has ended
     own = sum(1024 * int(line.split()[1]) for line in lines if line.startswith('Pss:'))
-    return own / 1e6 + sum(proportional_mb(number) for number in below)
+    return own / 1e6 + sum(proportional_mb(child) for child in children(process))

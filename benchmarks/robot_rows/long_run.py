@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from graph_memory import resident
+from graph_memory import children, resident
 
 from incremental_mapper.ros.client import open_client
 from incremental_mapper.ros.programs import (
@@ -81,9 +81,8 @@ def drive(folder: Path, seconds: float) -> Seen:
 def cpu_seconds(pid: int) -> float:
     """Seconds of processor that a program and its children have used; not those of the load."""
     fields = Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()
-    children = Path(f'/proc/{pid}/task/{pid}/children').read_text().split()
     own = (int(fields[11]) + int(fields[12])) / os.sysconf('SC_CLK_TCK')
-    return own + sum(cpu_seconds(int(child)) for child in children)
+    return own + sum(cpu_seconds(child) for child in children(pid))
 
 
 @row('not tried', long=True)

@@ -16,6 +16,7 @@ from functools import cache
 from pathlib import Path
 from subprocess import DEVNULL
 
+from graph_memory import children
 from long_drive import write_repeated
 from node_runs import PATIENCE, SEED, START, Drive, make_drive
 
@@ -149,14 +150,12 @@ def savers(node: int) -> list[int]:
     """Processes that save for a node: forks of it, with a session of their own."""
     found = []
     own = Path(f'/proc/{node}/cmdline').read_bytes()
-    for task in Path(f'/proc/{node}/task').iterdir():
-        # Threads and processes may end while they are looked at.
-        with suppress(OSError):
-            for child in (task / 'children').read_text(encoding='ascii').split():
-                fields = Path(f'/proc/{child}/stat').read_text(encoding='ascii').rpartition(')')[2]
-                same = Path(f'/proc/{child}/cmdline').read_bytes() == own
-                if fields.split()[3] == child and same:
-                    found.append(int(child))
+    for child in children(node):
+        with suppress(OSError):  # it may end while it is looked at
+            fields = Path(f'/proc/{child}/stat').read_text(encoding='ascii').rpartition(')')[2]
+            same = Path(f'/proc/{child}/cmdline').read_bytes() == own
+            if int(fields.split()[3]) == child and same:
+                found.append(child)
     return found
 
 

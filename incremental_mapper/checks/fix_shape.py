@@ -128,10 +128,10 @@ def _stretched(sensor: str, shape: Shape) -> Finding | None:
     """A track that is too long to the east or to the north, and otherwise the same."""
     if len(shape.local) < FEWEST or shape.bent < WIDE:
         return None
-    now = misfit(metres(shape.degrees), shape.local)
+    enu = metres(shape.degrees)
+    now = misfit(enu, shape.local)
     if now < STRETCHED * shape.extent + NOISE * shape.sigma:
         return None
-    enu = metres(shape.degrees)
     fixes, places = enu - enu.mean(axis=0), shape.local - shape.local.mean(axis=0)
     affine = np.linalg.lstsq(places, fixes, rcond=None)[0]
     left = float(np.sqrt(np.mean(np.sum((fixes - places @ affine) ** 2, axis=1))))

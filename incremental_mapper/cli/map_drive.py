@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from incremental_mapper.cli import exit_status
 from incremental_mapper.cli.inputs import add_input
 from incremental_mapper.errors import OutputError
-from incremental_mapper.frontend.scan_servers import hold, let_go
+from incremental_mapper.frontend.scan_servers import ahead
 from incremental_mapper.garbage import set_aside, unsearched
 
 if TYPE_CHECKING:
@@ -98,16 +98,13 @@ def run(args: argparse.Namespace) -> int:
     started = time.perf_counter()
     if args.out_dir is None and args.earlier is None and args.config is None:
         args.wrong_usage('the following arguments are required: OUT_DIR')
-    hold()  # the LiDARs' processes get ready while the rest is imported
-    try:
+    with ahead():
         with unsearched():
             from incremental_mapper.settings import make_config
 
         tree, where = _settings(args), str(args.config or 'settings')
         make_config(tree, where)
         return _map(args, tree, where, started)
-    finally:
-        let_go()
 
 
 def _map(args: argparse.Namespace, tree: 'Tree', where: str, started: float) -> int:

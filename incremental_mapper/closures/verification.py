@@ -13,7 +13,7 @@ from incremental_mapper.closures.candidate_pairs import Candidate, Known
 from incremental_mapper.closures.local_maps import LocalMap
 from incremental_mapper.config import ClosureSettings, OdometrySettings
 from incremental_mapper.frontend.gap_matching import LEVEL, ScanCloud
-from incremental_mapper.frontend.match_noise import match_covariance
+from incremental_mapper.frontend.match_noise import loosest_shift, match_covariance
 from incremental_mapper.geometry import transform_points
 
 NEIGHBOURS = 15
@@ -161,7 +161,7 @@ def _reaches(known: Known | None) -> tuple[float, ...]:
     """
     if known is None:
         return REACHES
-    off = SURE * float(np.sqrt(UNCERTAIN * np.linalg.eigvalsh(known.covariance[3:, 3:])[-1]))
+    off = SURE * float(np.sqrt(UNCERTAIN * loosest_shift(known.covariance)))
     # Twice the same would lead nowhere else.
     return tuple(dict.fromkeys(min(reach, max(off, LEAST_REACH)) for reach in REACHES))
 

@@ -17,7 +17,7 @@ from incremental_mapper.frontend.gap_matching import LONG
 from incremental_mapper.frontend.imu_guide import ImuGuide, Momentum, squares
 from incremental_mapper.frontend.imu_preintegration import ImuSeries
 from incremental_mapper.frontend.inertial_motion import Strip
-from incremental_mapper.frontend.match_noise import WEAK, carried, weak_directions
+from incremental_mapper.frontend.match_noise import WEAK, carried, loosest_shift, weak_directions
 from incremental_mapper.frontend.preprocessing import (
     STANDING,
     BodyMotion,
@@ -307,7 +307,7 @@ class LidarChain:
             start = twist.over(self._moment)
         self._twist = twist
         if match.covariance is not None:
-            self._spread = float(np.sqrt(np.linalg.eigvalsh(match.covariance[3:, 3:])[-1])) / passed
+            self._spread = float(np.sqrt(loosest_shift(match.covariance))) / passed
         end = around.between(moment, 0.0)
         return Motion(
             start.compose(found).compose(end),

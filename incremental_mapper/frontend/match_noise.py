@@ -112,6 +112,15 @@ def carried(covariance: NDArray[np.float64], T_frame_scan: gtsam.Pose3) -> NDArr
     return moved
 
 
+def loosest_shift(covariance: NDArray[np.float64]) -> float:
+    """Variance of a match along the direction in which it is shifted most easily, m^2.
+
+    Args:
+        covariance: (6, 6), rotation before translation.
+    """
+    return float(np.linalg.eigvalsh(covariance[3:, 3:])[-1])
+
+
 def weak_directions(covariance: NDArray[np.float64]) -> int:
     """In how many directions (of six at the most) a match is hardly held.
 

@@ -156,7 +156,6 @@ def _answer(requests: BinaryIO, answers: BinaryIO) -> None:
 
 def get_ready() -> None:
     """Bring into memory what the first scans would wait for."""
-    warm_up()
     inertial_motion.warm_up()
     preparer = ScanPreparer('', Config(), Counter())
     places = np.arange(-10.0, 10.0, 0.5)

@@ -6,7 +6,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from incremental_mapper.frontend.match_noise import weak_directions
+from incremental_mapper.frontend.match_noise import loosest_shift, weak_directions
 from incremental_mapper.frontend.prepared_scan import PreparedScan
 from incremental_mapper.measurements import NANOSECONDS
 
@@ -98,7 +98,7 @@ class OdometryTrack:
                 self._lead(sensor, before, stamp, pose, scan.T_previous_current)
                 self._weak, self._unsure = 0.0, 0.0
                 if scan.covariance is not None and weak_directions(scan.covariance):
-                    weakest = float(np.linalg.eigvalsh(scan.covariance[3:, 3:])[-1])
+                    weakest = loosest_shift(scan.covariance)
                     self._loose += weakest
                     self._weak = float(np.sqrt(weakest))
                     self._looser += self._weak

@@ -4,7 +4,10 @@ The seed takes most of a second to import what they need. A program that is abou
 than that starts it first; it ends with the last that has asked for it.
 """
 
+import os
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 from incremental_mapper.helper_process import Helper, start
 from incremental_mapper.helper_seed import Seed, possible
@@ -42,6 +45,19 @@ def let_go() -> None:
         if _holders == 0 and _seed is not None:
             _seed.close()
             _seed = None
+
+
+@contextmanager
+def ahead() -> Iterator[None]:
+    """Have the seed get ready while the block imports; on a single core it would be in its way."""
+    several = (os.cpu_count() or 1) > 1
+    if several:
+        hold()
+    try:
+        yield
+    finally:
+        if several:
+            let_go()
 
 
 def scan_server() -> Helper:

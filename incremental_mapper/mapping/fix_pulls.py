@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from incremental_mapper.checks.fixes import Drawn
 from incremental_mapper.frontend.front_end import Prepared, PreparedFix
-from incremental_mapper.frontend.match_noise import weak_directions
+from incremental_mapper.frontend.match_noise import loosest_shift, weak_directions
 from incremental_mapper.frontend.prepared_scan import PreparedScan
 from incremental_mapper.graph.window_inputs import WindowInputs
 from incremental_mapper.mapping.joining import antenna_covariance
@@ -112,7 +112,7 @@ class FixPulls:
         if scan.covariance is None or scan.T_previous_current is None:
             return
         weak = bool(weak_directions(scan.covariance))
-        off = np.sqrt(np.linalg.eigvalsh(scan.covariance[3:, 3:])[-1]) if weak else 0.0
+        off = np.sqrt(loosest_shift(scan.covariance)) if weak else 0.0
         sensor = scan.core.sensor
         self._leaning[sensor] = self._leaning.get(sensor, 0.0) + float(off)
 

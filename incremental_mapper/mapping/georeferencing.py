@@ -188,13 +188,13 @@ def turn_prior(
     if factor.kind is FactorKind.PRIOR_POSE:
         graph = config.graph
         data = factor.data
-        place = np.array(data['T_map_base'])[:3]
-        far = 0.0 if middle is None else float(np.linalg.norm(place - middle))
+        before = gtsam.Pose3(pose_matrix(data['T_map_base']))
+        far = 0.0 if middle is None else float(np.linalg.norm(before.translation() - middle))
         position = max(graph.weak_sigma_position, graph.prior_sigma_yaw * far)
         sigmas = np.maximum(
             np.array(data['sigmas']), [0.0, 0.0, graph.prior_sigma_yaw] + [position] * 3
         )
-        pose = T_enu_map.compose(gtsam.Pose3(pose_matrix(data['T_map_base'])))
+        pose = T_enu_map.compose(before)
         return pose_prior(factor.keys[0], pose, sigmas, factor.stamps[0])
     if factor.kind is FactorKind.PRIOR_VELOCITY:
         data = factor.data

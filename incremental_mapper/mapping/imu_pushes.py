@@ -15,6 +15,7 @@ from incremental_mapper.checks.imu_pushed import Pushes
 from incremental_mapper.frontend.front_end import Prepared
 from incremental_mapper.frontend.imu_preintegration import ImuSeries
 from incremental_mapper.frontend.inertial_motion import rotations_after
+from incremental_mapper.frontend.match_noise import loosest_shift
 from incremental_mapper.frontend.prepared_scan import PreparedScan
 from incremental_mapper.measurements import NANOSECONDS
 from incremental_mapper.quantiles import median
@@ -181,7 +182,7 @@ class ImuPushes:
 
     def _unsure(self, sensor: str, covariance: Array) -> bool:
         """Whether a match (6, 6) is held weakly, or less than most of its LiDAR are."""
-        worst = float(np.linalg.eigvalsh(covariance[3:, 3:])[-1])
+        worst = loosest_shift(covariance)
         if worst > HELD**2:
             return True
         usual = self._certain.setdefault(sensor, deque(maxlen=USUAL))

@@ -15,7 +15,7 @@ from incremental_mapper.config import Config
 from incremental_mapper.frontend import scan_servers
 from incremental_mapper.frontend.imu_preintegration import EMPTY_SERIES
 from incremental_mapper.frontend.odometry_process import LocalStation, ProcessStation
-from incremental_mapper.frontend.scan_servers import helper, hold, let_go, scan_server
+from incremental_mapper.frontend.scan_servers import ahead, helper, hold, let_go, scan_server
 from incremental_mapper.measurements import make_scan
 
 pytestmark = pytest.mark.skipif(not helper_seed.possible(), reason='no handles on processes here')
@@ -144,4 +144,12 @@ def test_it_prepares_scans_as_this_process_does():
     for station in stations:
         station.close()
     assert results[0] == results[1]
+    assert scan_servers._seed is None
+
+
+@pytest.mark.parametrize('cores', [1, 2])
+def test_a_seed_gets_ready_ahead_where_there_is_a_core_for_it(monkeypatch, cores):
+    monkeypatch.setattr(os, 'cpu_count', lambda: cores)
+    with ahead():
+        assert (scan_servers._seed is not None) == (cores > 1)
     assert scan_servers._seed is None

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.optimize import isotonic_regression
 
 from incremental_mapper.errors import OutputError
 from incremental_mapper.measurements import NANOSECONDS
@@ -25,7 +24,6 @@ from incremental_mapper.visualization.graph_legend import LOOSE
 from incremental_mapper.visualization.graph_picture import draw_graph, graph_figure
 from incremental_mapper.visualization.graph_view import (
     closure_ends,
-    nearest_ascending,
     typical_stretch,
     unconnected_variables,
 )
@@ -368,15 +366,6 @@ def test_picture_of_a_page_has_no_colour_of_its_own() -> None:
         re.findall(r'var\(--[a-z-]+\)', text)
     )
     assert all(name.startswith('here-') for name in re.findall(r'id="([^"]*)"', text))
-
-
-def test_ascending_numbers_are_the_nearest_ones() -> None:
-    rng = np.random.default_rng(3)
-    for count in (1, 2, 7, 300):
-        wanted = np.linspace(0.0, 3.0, count) + rng.normal(0.0, 0.5, count)
-        assert nearest_ascending(wanted) == pytest.approx(isotonic_regression(wanted).x)
-    assert nearest_ascending(np.array([3.0, 1.0, 2.0, 9.0])).tolist() == [2.0, 2.0, 2.0, 9.0]
-    assert len(nearest_ascending(np.zeros(0))) == 0
 
 
 def test_seconds_count_from_a_given_stamp() -> None:
